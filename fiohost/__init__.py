@@ -1,0 +1,29 @@
+"""Host tool for DC-motor control benches: drive, log, identify, and name what the model lacks.
+
+The public names are loaded when first used, so that ``import fiohost`` costs nothing:
+``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``, ``design``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "connect": "fiohost.bench.connect",
+    "Bench": "fiohost.bench.loop",
+    "Log": "fiohost.bench.log",
+    "Model": "fiohost.motor.model",
+    "diagnose": "fiohost.discover.diagnose",
+}
+
+__all__ = ["__version__", *_WHERE]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'fiohost' has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(_WHERE[name]), name)

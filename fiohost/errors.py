@@ -1,0 +1,46 @@
+"""One tree of errors. Each message says what happened, the likely cause and the next step, in one sentence.
+
+The command line prints the message and exits 1; nothing else is caught there.
+"""
+
+from __future__ import annotations
+
+
+class FiohostError(Exception):
+    """Root of all errors that a user can cause or cure."""
+
+
+class ConfigError(FiohostError):
+    """A file or value that people write is wrong: unknown key, value out of range, unknown name."""
+
+
+class LogError(FiohostError):
+    """A log or table cannot be read or written."""
+
+
+class ModelError(FiohostError):
+    """A model, effect or parameter is unknown, malformed or cannot be simulated."""
+
+
+class DataError(FiohostError):
+    """The data are readable but cannot answer the question asked of them."""
+
+
+class TransportError(FiohostError):
+    """Something between the host and the board failed."""
+
+
+class DisconnectedError(TransportError):
+    """The board went away: unplugged, reset, or its line hung up."""
+
+
+class TelemetryTimeoutError(TransportError):
+    """No telemetry arrived in time."""
+
+
+class ReportError(TransportError):
+    """A report does not fit its layout."""
+
+
+class LimitError(FiohostError):
+    """A command or run exceeds a limit of the bench."""

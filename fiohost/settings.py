@@ -1,0 +1,152 @@
+"""Files and values that people write: strict TOML tables, names looked up in ``configs/``, nearest-name hints.
+
+Every reader goes through :class:`Table`, so that an unknown key, a wrong type, NaN or a value out of range is
+refused in one sentence that names the file, the key and the nearest valid one.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fiohost.errors import ConfigError
+
+MAX_CONFIG_BYTES = 1_000_000
+_PACKAGE = Path(__file__).parent
+
+
+def nearest(name: str, choices: Iterable[str]) -> str:
+    """Return `` (did you mean 'x'?)`` for the closest of *choices*, else the whole list, for an error message."""
+    known = sorted(choices)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+
+
+def config_dirs(kind: str) -> list[Path]:
+    """Folders that hold shipped files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's."""
+    return [d for d in (_PACKAGE / "configs" / kind, _PACKAGE.parent / "configs" / kind) if d.is_dir()]
+
+
+def config_names(kind: str) -> list[str]:
+    """Names of the shipped files of one kind, without ``.toml``."""
+    return sorted({p.stem for d in config_dirs(kind) for p in d.glob("*.toml")})
+
+
+def find_config(kind: str, name: str | Path) -> Path:
+    """Find a file by path, or by name among the shipped ones. Raises ConfigError naming the nearest known name."""
+    path = Path(name)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if path.is_file():
+            return path
+        raise ConfigError(f"no file {str(path)!r}; shipped {kind}: {', '.join(config_names(kind))}")
+    for folder in config_dirs(kind):
+        if (folder / f"{name}.toml").is_file():
+            return folder / f"{name}.toml"
+    raise ConfigError(f"unknown name {str(name)!r} in {kind}; {nearest(str(name), config_names(kind))}")
+
+
+def read_toml(path: Path) -> Table:
+    """Parse a TOML file into a strict table. Raises ConfigError."""
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes, this is not a settings file")
+        with path.open("rb") as handle:
+            return Table(tomllib.load(handle), str(path))
+    except OSError as exc:
+        raise ConfigError(f"cannot read {path}: {exc.strerror}") from exc
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
+        raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
+
+
+class Table:
+    """One TOML table being read: each key is taken once, and :meth:`finish` refuses what is left over."""
+
+    def __init__(self, data: dict[str, Any], where: str) -> None:
+        self.data = data
+        self.where = where
+        self._known: set[str] = set()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.data
+
+    def fail(self, message: str) -> ConfigError:
+        return ConfigError(f"{self.where}: {message}")
+
+    def raw(self, key: str, default: Any = None) -> Any:
+        self._known.add(key)
+        return self.data.get(key, default)
+
+    def number(
+        self, key: str, default: float | None = None, *, low: float = -math.inf, high: float = math.inf
+    ) -> float:
+        """A finite number within [low, high]; required when there is no default."""
+        value = self.raw(key, default)
+        if value is None:
+            raise self.fail(f"key {key!r} is missing")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.fail(f"{key} = {value!r} is not a finite number")
+        if not low <= value <= high:
+            raise self.fail(f"{key} = {value!r} is outside {low:g}..{high:g}")
+        return float(value)
+
+    def integer(self, key: str, default: int | None = None, *, low: int, high: int) -> int:
+        value = self.number(key, default, low=low, high=high)
+        if value != int(value):
+            raise self.fail(f"{key} = {value!r} is not a whole number")
+        return int(value)
+
+    def text(self, key: str, default: str | None = None, *, choices: Sequence[str] | None = None) -> str:
+        value = self.raw(key, default)
+        if value is None:
+            raise self.fail(f"key {key!r} is missing")
+        if not isinstance(value, str):
+            raise self.fail(f"{key} = {value!r} is not text")
+        if choices is not None and value not in choices:
+            raise self.fail(f"{key} = {value!r} is unknown; {nearest(value, choices)}")
+        return value
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        value = self.raw(key, default)
+        if not isinstance(value, bool):
+            raise self.fail(f"{key} = {value!r} is not true or false")
+        return value
+
+    def numbers(self, key: str, default: Sequence[float] | None = None, *, most: int = 10_000) -> list[float]:
+        value = self.raw(key, default)
+        if value is None:
+            raise self.fail(f"key {key!r} is missing")
+        good = isinstance(value, (list, tuple)) and all(
+            isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
+        )
+        if not good or not 0 < len(value) <= most:
+            raise self.fail(f"{key} is not a list of 1 to {most} finite numbers")
+        return [float(v) for v in value]
+
+    def table(self, key: str, *, required: bool = False) -> Table:
+        value = self.raw(key)
+        if value is None and not required:
+            value = {}
+        if not isinstance(value, dict):
+            raise self.fail(f"table [{key}] is missing" if value is None else f"{key} is not a table")
+        return Table(value, f"{self.where} [{key}]")
+
+    def tables(self, key: str) -> list[Table]:
+        value = self.raw(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+            raise self.fail(f"{key} is not a list of tables [[{key}]]")
+        return [Table(v, f"{self.where} [[{key}]] {i + 1}") for i, v in enumerate(value)]
+
+    def schema(self, expected: str) -> None:
+        found = self.text("schema", expected)
+        if found != expected:
+            raise self.fail(f"schema is {found!r}, expected {expected!r}")
+
+    def finish(self) -> None:
+        """Refuse every key that nobody asked for."""
+        for key in self.data:
+            if key not in self._known:
+                raise self.fail(f"unknown key {key!r}; {nearest(key, self._known)}")
