@@ -1,0 +1,96 @@
+"""What a model predicts for a record: free runs, initial states, one-second windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.identify.record import ANGLE, Record
+from fiohost.identify.windows import fit_windows, read_output
+from fiohost.motor.effect import effects
+from fiohost.motor.kernel import GAIN, STATE_SIZE
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import rest_state, run, seen_angle
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A model as the kernel takes it: parameter array, switches, step, and what of it matters for initial states."""
+
+    p: np.ndarray
+    on: np.ndarray
+    substep_s: float
+    seen: int
+    bends: bool
+
+    @classmethod
+    def of(cls, model: Model, p: np.ndarray | None = None) -> Flat:
+        vector = model.vector() if p is None else p
+        on = model.switches()
+        bends = any(effects()[name].angle_bound for name in model.effects)
+        return cls(vector, on, model.substep_s(), seen_angle(vector, on), bends)
+
+
+def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
+    """The record's output (n) from simulated states (n, STATE_SIZE)."""
+    y = np.empty(len(states))
+    read_output(record.excitation.times_s, states, record.kind, flat.seen, y)
+    return y
+
+
+def free_states(record: Record, flat: Flat, theta: float, omega: float) -> np.ndarray:
+    return run(record.excitation, flat.p, flat.on, flat.substep_s, rest_state(theta, omega))
+
+
+def free_output(record: Record, flat: Flat, theta: float, omega: float) -> np.ndarray:
+    """The output (n) of a free run from an initial angle and speed."""
+    return read(record, flat, free_states(record, flat, theta, omega))
+
+
+def _speed_step(flat: Flat) -> float:
+    """A speed difference that is small beside full speed, whatever the unit of the axis."""
+    return 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
+
+
+def _fit(record: Record, flat: Flat, y: np.ndarray, edges: np.ndarray, bases: np.ndarray, free_speed: bool):  # type: ignore[no-untyped-def]
+    ex = record.excitation
+    longest = int(np.max(np.diff(edges)))
+    residuals = np.zeros(int(edges[-1]))
+    shifts, omegas = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+    work = np.empty((3, longest))
+    fit_windows(
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, y, edges, bases, free_speed, flat.bends, record.kind,
+        flat.seen, flat.substep_s, flat.p, flat.on, _speed_step(flat), residuals, shifts, omegas,
+        np.empty(STATE_SIZE), work[0], np.empty((longest, STATE_SIZE)), work[1], work[2],
+    )  # fmt: skip
+    return residuals, shifts, omegas
+
+
+def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
+    """Angle and speed of the first samples, straight from the data."""
+    if record.kind != ANGLE:
+        return 0.0, float(np.median(y[:3]))
+    if record.at_rest:
+        return float(y[0]), 0.0
+    times = record.excitation.times_s[:6]
+    slope = float(np.polyfit(times, y[: len(times)], 1)[0])
+    return float(y[0]), slope
+
+
+def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> tuple[float, float]:
+    """Initial angle and speed by least squares on the first second; speed is zero where the shaft begins at rest."""
+    data = record.y if y is None else y
+    theta, omega = initial_guess(record, data)
+    edges = np.array([0, record.first_second()], dtype=np.int64)
+    _, shifts, omegas = _fit(record, flat, data, edges, rest_state(theta, omega)[None, :], not record.at_rest)
+    return theta + float(shifts[0]), float(omegas[0])
+
+
+def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+    """Measured minus simulated (n) with angle and speed free in each one-second window, other states from ``states``."""
+    data = record.y if y is None else y
+    bases = np.ascontiguousarray(states[record.windows[:-1]])
+    residuals, _, _ = _fit(record, flat, data, record.windows, bases, True)
+    return np.asarray(residuals)
+

@@ -1,0 +1,138 @@
+"""A record: what was commanded, what was measured and how, as arrays ready for the kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fiohost.errors import DataError
+from fiohost.motor.simulate import Excitation
+
+if TYPE_CHECKING:
+    from fiohost.bench.log import Log
+
+ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
+REST_SAMPLES = 5
+SHORTEST = 20
+BRAKE = 2
+
+
+@dataclass(frozen=True)
+class Record:
+    """One log as evidence.
+
+    ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED`` (over the
+    interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown), ``centre`` the distance
+    from a reading to the middle of its bin. ``at_rest`` says that the shaft stands still at the first sample.
+    """
+
+    name: str
+    excitation: Excitation
+    y: np.ndarray
+    kind: int
+    unit: str
+    quantum: float
+    centre: float
+    sample_time_s: float
+    at_rest: bool
+    rotary: bool
+    repeat_of: str = ""
+    windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def seconds(self) -> float:
+        return float(self.excitation.times_s[-1] - self.excitation.times_s[0])
+
+    def first_second(self) -> int:
+        """Number of samples in the first second, at least a handful."""
+        times = self.excitation.times_s
+        return min(max(int(np.searchsorted(times, times[0] + 1.0)), REST_SAMPLES), len(self))
+
+
+def cut_windows(times_s: np.ndarray, length_s: float = 1.0) -> np.ndarray:
+    """Boundaries (m + 1) of consecutive windows of one length; a last piece under half a window joins the one before."""
+    marks = np.arange(times_s[0], times_s[-1] + length_s, length_s)
+    edges = np.unique(np.concatenate((np.searchsorted(times_s, marks - 1e-9), [len(times_s)])))
+    if len(edges) > 2 and times_s[-1] - times_s[edges[-2]] < 0.5 * length_s:
+        edges = np.delete(edges, -2)
+    return edges.astype(np.int64)
+
+
+def make_record(
+    name: str,
+    times_s: np.ndarray,
+    duty_pct: np.ndarray,
+    y: np.ndarray,
+    *,
+    mode: np.ndarray | None = None,
+    kind: int = ANGLE,
+    unit: str = "deg",
+    quantum: float = 0.0,
+    centre: float = 0.0,
+    sample_time_s: float | None = None,
+    command_delay_s: float = 0.0,
+    rotary: bool = True,
+    repeat_of: str = "",
+) -> Record:
+    """Build a record from columns (n each): times in s, signed duty in percent, measured output in ``unit``.
+
+    What acted before the first row is not recorded: it is taken as the first command where the shaft is already moving,
+    else as brake. Raises DataError if there is too little to work on.
+    """
+    if len(times_s) < SHORTEST:
+        raise DataError(f"{name}: {len(times_s)} samples are too few, at least {SHORTEST} are needed")
+    times = np.ascontiguousarray(times_s - times_s[0], dtype=np.float64)
+    modes = np.ones(len(times), dtype=np.int64) if mode is None else np.asarray(mode, dtype=np.int64)
+    output = np.ascontiguousarray(y, dtype=np.float64)
+    head = output[:REST_SAMPLES]
+    at_rest = bool(np.ptp(head) == 0.0) if kind == ANGLE else bool(np.all(np.abs(head[:1]) <= 0.0))
+    before = (0.0, BRAKE) if at_rest else (float(duty_pct[0]), int(modes[0]))
+    excitation = Excitation(
+        times_s=times,
+        act_times_s=times + command_delay_s,
+        duties_pct=np.concatenate(([before[0]], np.asarray(duty_pct, dtype=np.float64))),
+        modes=np.concatenate(([before[1]], modes)),
+    )
+    step = float(np.median(np.diff(times))) if sample_time_s is None else sample_time_s
+    return Record(
+        name=name,
+        excitation=excitation,
+        y=output,
+        kind=kind,
+        unit=unit,
+        quantum=quantum,
+        centre=centre,
+        sample_time_s=step,
+        at_rest=at_rest,
+        rotary=rotary,
+        repeat_of=repeat_of,
+        windows=cut_windows(times),
+    )
+
+
+def record_from_log(log: Log, name: str | None = None) -> Record:
+    """The record of a log: its output whatever it is, its commands with the bench's known delay."""
+    output = log.output_name
+    kind = ANGLE if output in ("angle_deg", "position_m") else SPEED
+    if kind == SPEED and log.output_average == "previous_interval":
+        kind = MEAN_SPEED
+    return make_record(
+        name or (log.path.name if log.path else "log"),
+        log.time_s,
+        log.duty_pct,
+        log.output,
+        mode=log.mode,
+        kind=kind,
+        unit=log.output_unit,
+        quantum=log.output_quantum,
+        centre=0.5 * log.output_quantum if kind == ANGLE else 0.0,
+        sample_time_s=log.sample_time_s,
+        command_delay_s=log.command_delay_ticks * log.sample_time_s,
+        rotary=output in ("angle_deg", "speed_deg_s"),
+        repeat_of=log.metadata.get("experiment", ""),
+    )

@@ -1,0 +1,148 @@
+"""Initial states by least squares: the one piece of estimation that must be compiled, as it runs inside everything.
+
+A window keeps every state of the free run but angle and speed, which are free in it (angle only where the output is an
+angle). Gauss-Newton with one finite difference for the speed, and one for the angle where torques depend on it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fiohost.motor.compiled import compiled, inlined
+from fiohost.motor.kernel import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA, simulate
+
+ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
+
+
+@inlined
+def output(times, states, first, count, kind, seen, y):  # type: ignore[no-untyped-def]
+    """The measured quantity (count) from states: angle, speed, or mean speed over the interval before."""
+    rate = OMEGA if seen == THETA else LOAD_OMEGA
+    for i in range(count):
+        if kind == ANGLE:
+            y[i] = states[i, seen]
+        elif kind == SPEED or i == 0:
+            y[i] = states[i, rate]
+        else:
+            y[i] = (states[i, seen] - states[i - 1, seen]) / (times[first + i] - times[first + i - 1])
+
+
+@compiled
+def read_output(times, states, kind, seen, y):  # type: ignore[no-untyped-def]
+    """``output`` for a whole record, from Python."""
+    output(times, states, 0, states.shape[0], kind, seen, y)
+
+
+@inlined
+def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
+    """A copy of ``base`` turned by ``shift`` and running at ``omega``, load and gap with it."""
+    for i in range(state.shape[0]):
+        state[i] = base[i]
+    state[THETA] += shift
+    state[LOAD_THETA] += shift
+    state[LOAD_OMEGA] += omega - base[OMEGA]
+    state[OMEGA] = omega
+
+
+@compiled
+def fit_windows(  # type: ignore[no-untyped-def]
+    times, act_times, duties, modes, y, edges, bases, free_speed, bends, kind, seen, substep, p, on,
+    speed_step, residuals, shifts, omegas, state, trial, states, y0, y1
+):
+    """Fit angle shift and speed of every window; ``bases`` (m, states) are the free run's states at the window starts.
+
+    Writes ``residuals`` (n), measured minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques
+    depend on the angle, so that a shift is not just added to the output. The last five arguments are work space.
+    """
+    for w in range(edges.shape[0] - 1):
+        a, b = edges[w], edges[w + 1]
+        n = b - a
+        base = bases[w]
+        shift, omega = 0.0, base[OMEGA]
+        _move(state, base, shift, omega)
+        simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
+        output(times, states, a, n, kind, seen, y0)
+        if kind == ANGLE:
+            for i in range(n):
+                shift += (y[a + i] - y0[i]) / n
+            if bends:
+                _move(state, base, shift, omega)
+                simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
+                output(times, states, a, n, kind, seen, y0)
+            else:
+                for i in range(n):
+                    y0[i] += shift
+        cost = 0.0
+        for i in range(n):
+            cost += (y[a + i] - y0[i]) ** 2
+        damping = 1e-9
+        for _ in range(12):
+            # Columns: speed by difference; angle by difference or exactly one.
+            _move(state, base, shift, omega + speed_step)
+            simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
+            output(times, states, a, n, kind, seen, y1)
+            if kind == ANGLE and not bends:
+                for i in range(n):
+                    y1[i] += shift
+            ss, sa, aa, rs, ra = 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(n):
+                r = y[a + i] - y0[i]
+                s = (y1[i] - y0[i]) / speed_step if free_speed else 0.0
+                trial[i] = s
+                ss += s * s
+                rs += s * r
+            if kind == ANGLE:
+                if bends:
+                    angle_step = speed_step * 0.01
+                    _move(state, base, shift + angle_step, omega)
+                    simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
+                    output(times, states, a, n, kind, seen, y1)
+                    for i in range(n):
+                        g = (y1[i] - y0[i]) / angle_step
+                        aa += g * g
+                        sa += g * trial[i]
+                        ra += g * (y[a + i] - y0[i])
+                else:
+                    for i in range(n):
+                        aa += 1.0
+                        sa += trial[i]
+                        ra += y[a + i] - y0[i]
+            else:
+                aa = 1.0
+            better = False
+            gain = 0.0
+            for _ in range(8):
+                s11, s22 = ss * (1.0 + damping) + 1e-30, aa * (1.0 + damping)
+                det = s11 * s22 - sa * sa
+                if det <= 1e-12 * s11 * s22:
+                    step_speed, step_angle = 0.0, ra / s22
+                else:
+                    step_speed = (s22 * rs - sa * ra) / det
+                    step_angle = (s11 * ra - sa * rs) / det
+                _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
+                simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
+                output(times, states, a, n, kind, seen, y1)
+                new = 0.0
+                for i in range(n):
+                    if kind == ANGLE and not bends:
+                        y1[i] += shift + step_angle
+                    new += (y[a + i] - y1[i]) ** 2
+                if new <= cost:
+                    better = True
+                    gain = cost - new
+                    break
+                damping = max(damping * 10.0, 1e-6)
+            if not better:
+                break
+            cost = new
+            shift += step_angle
+            omega += step_speed
+            for i in range(n):
+                y0[i] = y1[i]
+            damping *= 0.1
+            if gain <= 1e-6 * cost:
+                break
+        shifts[w] = shift
+        omegas[w] = omega
+        for i in range(n):
+            residuals[a + i] = y[a + i] - y0[i]

@@ -1,0 +1,131 @@
+"""What an effect is, and the library of them: every module in ``fiohost.motor.effects`` adds its own.
+
+An effect says where it acts by giving hooks, plain functions of numbers which the kernel compiles:
+
+``command(duty_pct, q)``
+    the duty that really acts, a static map; effects apply in the order of their ``stage``.
+``torque(theta_deg, omega_deg_s, time_s, duty_pct, q)``
+    torque added to the drive, in percent of duty; a load returns a negative value where it opposes forward motion.
+``friction(theta_deg, omega_deg_s, time_s, drive_pct, direction, q)``
+    sliding friction added to the level, in percent, at least zero in sum; direction is +1 or -1.
+``breakaway(q)``
+    static friction above sliding friction, in percent.
+
+``q`` is the array of the effect's own parameters in their declared order. Effects that change the structure or the timing
+(``linear``, ``transport_delay``, ``backlash``) have no hook: the kernel knows them by name.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+from fiohost.errors import ModelError
+from fiohost.settings import nearest
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number (or choice) of an effect.
+
+    ``neutral`` is the value at which the effect vanishes (None where the effect has none, as for a phase);
+    ``step`` is the finite-difference step, relative to the value where ``relative_step`` is set.
+    """
+
+    name: str
+    unit: str
+    start: Value
+    lower: float = -math.inf
+    upper: float = math.inf
+    neutral: float | None = 0.0
+    step: float = 1e-2
+    relative_step: bool = False
+    choices: tuple[str, ...] = ()
+    period: float | None = None
+
+    @property
+    def is_choice(self) -> bool:
+        return bool(self.choices)
+
+    def check(self, value: object, where: str) -> Value:
+        """Return the value if it is allowed. Raises ModelError with the reason."""
+        if self.is_choice:
+            if not isinstance(value, str) or value not in self.choices:
+                raise ModelError(f"{where} = {value!r} is unknown; {nearest(str(value), self.choices)}")
+            return value
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ModelError(f"{where} = {value!r} is not a finite number")
+        if not self.lower <= value <= self.upper:
+            raise ModelError(f"{where} = {value:g} is outside {self.lower:g}..{self.upper:g} {self.unit}")
+        return float(value)
+
+    def code(self, value: Value) -> float:
+        """The number the kernel sees: the value itself, or the position of a choice."""
+        return float(self.choices.index(value)) if isinstance(value, str) else value
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect, its equation and parameters, where it acts and what it cannot be told from."""
+
+    name: str
+    summary: str
+    equation: str
+    acts_on: str
+    parameters: tuple[Parameter, ...]
+    source: str
+    signature: str = ""
+    stage: int = 0
+    substep_s: float | None = None
+    angle_bound: bool = False
+    equivalents: tuple[str, ...] = ()
+    replaces: tuple[str, ...] = ()
+    trials: tuple[Mapping[str, Value], ...] = ()
+    command: Callable[..., float] | None = field(default=None, repr=False)
+    torque: Callable[..., float] | None = field(default=None, repr=False)
+    friction: Callable[..., float] | None = field(default=None, repr=False)
+    breakaway: Callable[..., float] | None = field(default=None, repr=False)
+
+    def parameter(self, name: str) -> Parameter:
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        known = [p.name for p in self.parameters]
+        raise ModelError(f"effect {self.name!r} has no parameter {name!r}; {nearest(name, known)}")
+
+
+@cache
+def effects() -> dict[str, Effect]:
+    """All known effects by name, ``linear`` included, in alphabetical order."""
+    package = importlib.import_module("fiohost.motor.effects")
+    found: dict[str, Effect] = {}
+    for info in pkgutil.iter_modules(package.__path__):
+        module = importlib.import_module(f"fiohost.motor.effects.{info.name}")
+        for effect in module.EFFECTS:
+            found[effect.name] = effect
+    return dict(sorted(found.items()))
+
+
+def effect(name: str) -> Effect:
+    """Find an effect by name. Raises ModelError naming the nearest known one."""
+    library = effects()
+    if name not in library:
+        raise ModelError(f"unknown effect {name!r}; {nearest(name, library)}")
+    return library[name]
+
+
+@cache
+def layout() -> dict[str, int]:
+    """Offset of each effect's parameters in the kernel's flat parameter array."""
+    offsets: dict[str, int] = {}
+    offset = 0
+    for name, item in effects().items():
+        offsets[name] = offset
+        offset += len(item.parameters)
+    return offsets

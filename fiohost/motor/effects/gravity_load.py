@@ -1,0 +1,30 @@
+"""An eccentric weight on a horizontal shaft."""
+
+import math
+
+from fiohost.motor.effect import Effect, Parameter
+
+
+def torque(theta_deg, omega_deg_s, time_s, duty_pct, q):  # type: ignore[no-untyped-def]
+    return -q[0] * math.sin((theta_deg + q[1]) * (math.pi / 180.0))
+
+
+EFFECTS = (
+    Effect(
+        name="gravity_load",
+        summary="eccentric weight, once a turn",
+        equation="load = level * sin(theta + phase)",
+        acts_on="torque",
+        substep_s=0.0025,
+        angle_bound=True,
+        signature="missing torque once a turn, the same curve in both directions",
+        parameters=(
+            Parameter("level_pct", "%", 3.0, 0.0, 90.0, step=1e-2),
+            Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, step=1e-2, period=360.0),
+        ),
+        trials=tuple({"level_pct": 2.0, "phase_deg": phase} for phase in (0.0, 90.0, 180.0, 270.0)),
+        equivalents=("cogging_torque",),
+        source="Pendulum on a motor shaft; control lab appendix, arm and payload, section D-1-6",
+        torque=torque,
+    ),
+)

@@ -1,0 +1,163 @@
+"""A model: ``linear`` and the effects in it, with parameter values, as people write it and as the kernel takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fiohost.errors import ConfigError, FiohostError, ModelError
+from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layout
+from fiohost.settings import find_config, nearest, read_toml
+
+SCHEMA = "fiohost.model/1"
+
+
+@dataclass(frozen=True)
+class Model:
+    """``linear`` plus effects in the order in which they came in.
+
+    ``values`` holds every parameter of every effect as ``effect.parameter``; ``fixed`` names those not to be estimated.
+    """
+
+    effects: tuple[str, ...] = ()
+    values: Mapping[str, Value] = None  # type: ignore[assignment]
+    fixed: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        given = dict(self.values or {})
+        if len(set(self.effects)) != len(self.effects):
+            twice = next(e for e in self.effects if self.effects.count(e) > 1)
+            raise ModelError(f"effect {twice!r} is named twice")
+        full: dict[str, Value] = {}
+        for item in self.parts():
+            for parameter in item.parameters:
+                key = f"{item.name}.{parameter.name}"
+                full[key] = parameter.check(given.pop(key, parameter.start), key)
+        for key in given:
+            raise ModelError(f"unknown parameter {key!r} in a model of {self.expression}; {nearest(key, full)}")
+        for key in self.fixed:
+            if key not in full:
+                raise ModelError(f"unknown parameter {key!r} in [fixed]; {nearest(key, full)}")
+        object.__setattr__(self, "values", full)
+
+    @classmethod
+    def parse(cls, text: str) -> Model:
+        """Read ``linear+EFFECT+...`` or a model file. Raises ModelError or ConfigError naming the nearest valid name."""
+        if text.endswith(".toml") or "/" in text:
+            return cls.read(find_config("models", text))
+        names = [part.strip() for part in text.split("+")]
+        if names[0] != "linear":
+            effect(names[0])
+            raise ModelError(f"a model begins with linear, as in linear+{'+'.join(names)}")
+        return cls(effects=tuple(effect(name).name for name in names[1:]))
+
+    @classmethod
+    def read(cls, path: Path) -> Model:
+        """Read a ``fiohost.model/1`` file."""
+        table = read_toml(path)
+        table.schema(SCHEMA)
+        names = table.raw("effects", [])
+        if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+            raise table.fail("effects is not a list of names")
+        nested = table.table("parameters").data
+        fixed_table = table.table("fixed")
+        fixed = fixed_table.raw("names", [])
+        if not isinstance(fixed, list) or not all(isinstance(n, str) for n in fixed):
+            raise fixed_table.fail("names is not a list of parameter names")
+        fixed_table.finish()
+        table.finish()
+        values: dict[str, Value] = {}
+        for group, inner in nested.items():
+            if not isinstance(inner, dict):
+                raise table.fail(f"parameter {group!r} is not of the form effect.parameter")
+            values.update({f"{group}.{key}": value for key, value in inner.items()})
+        try:
+            return cls(effects=tuple(names), values=values, fixed=frozenset(fixed))
+        except FiohostError as exc:
+            raise ConfigError(f"{path}: {exc}") from exc
+
+    def write(self, path: Path, comment: str = "") -> None:
+        """Write a ``fiohost.model/1`` file. Raises ConfigError if it cannot be written."""
+        lines = [f"# {line}" for line in comment.splitlines()]
+        quoted = ", ".join(f'"{name}"' for name in self.effects)
+        lines += [f'schema = "{SCHEMA}"', f"effects = [{quoted}]", "", "[parameters]"]
+        for key, value in self.values.items():
+            lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
+        if self.fixed:
+            names = ", ".join(f'"{name}"' for name in sorted(self.fixed))
+            lines += ["", "[fixed]", f"names = [{names}]"]
+        try:
+            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        except OSError as exc:
+            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+
+    @property
+    def expression(self) -> str:
+        return "+".join(("linear", *self.effects))
+
+    def parts(self) -> list[Effect]:
+        """``linear`` and the effects as found in the library."""
+        return [effect(name) for name in ("linear", *self.effects)]
+
+    def parameter(self, key: str) -> Parameter:
+        group, _, name = key.partition(".")
+        return effect(group).parameter(name)
+
+    def free(self) -> list[str]:
+        """Names of the parameters to be estimated: numbers that are not fixed."""
+        return [k for k in self.values if k not in self.fixed and not self.parameter(k).is_choice]
+
+    def number(self, key: str) -> float:
+        value = self.values[key]
+        if isinstance(value, str):
+            raise ModelError(f"{key} is a choice, not a number")
+        return value
+
+    def with_values(self, values: Mapping[str, Value]) -> Model:
+        """A copy with some parameters changed, each checked against its bounds."""
+        return replace(self, values={**self.values, **values})
+
+    def with_effect(self, name: str, values: Mapping[str, Value] | None = None) -> Model:
+        """A copy with one effect added; ``values`` are its parameters by their short names."""
+        added = {f"{name}.{key}": value for key, value in (values or {}).items()}
+        return replace(self, effects=(*self.effects, name), values={**self.values, **added})
+
+    def without(self, names: Iterable[str]) -> Model:
+        """A copy with some effects taken out."""
+        gone = set(names)
+        return Model(
+            effects=tuple(e for e in self.effects if e not in gone),
+            values={k: v for k, v in self.values.items() if k.partition(".")[0] not in gone},
+            fixed=frozenset(k for k in self.fixed if k.partition(".")[0] not in gone),
+        )
+
+    def switches(self) -> np.ndarray:
+        """Which effects are on, in the kernel's order."""
+        names = list(effects())
+        on = np.zeros(len(names), dtype=np.bool_)
+        for item in self.parts():
+            on[names.index(item.name)] = True
+        return on
+
+    def vector(self) -> np.ndarray:
+        """All parameters in the kernel's flat order; those of absent effects are zero."""
+        flat = np.zeros(sum(len(e.parameters) for e in effects().values()))
+        for item in self.parts():
+            for i, parameter in enumerate(item.parameters):
+                flat[layout()[item.name] + i] = parameter.code(self.values[f"{item.name}.{parameter.name}"])
+        return flat
+
+    def substep_s(self) -> float:
+        """Longest step of the kernel, 0 where each hold is one exact step."""
+        steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
+        return min(steps, default=0.0)
+
+
+def slot(key: str) -> int:
+    """Index of ``effect.parameter`` in the kernel's flat parameter array."""
+    group, _, name = key.partition(".")
+    names = [p.name for p in effect(group).parameters]
+    return layout()[group] + names.index(name)

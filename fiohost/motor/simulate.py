@@ -1,0 +1,78 @@
+"""Free run of a model: from commands and an initial state to angle and speed at given times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.motor import kernel
+from fiohost.motor.effect import effect
+from fiohost.motor.hooks import EFFECT_INDEX
+from fiohost.motor.kernel import STATE_SIZE
+from fiohost.motor.model import Model
+
+_SIDE = effect("backlash").parameter("side")
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What acted on the motor and when it was looked at.
+
+    ``times_s`` (n): sample times. ``act_times_s`` (m): when each command begins to act. ``duties_pct``, ``modes`` (m + 1):
+    signed duty and mode (1 drive, 2 brake, 0 standby), the first entry being what acted before the first command.
+    """
+
+    times_s: np.ndarray
+    act_times_s: np.ndarray
+    duties_pct: np.ndarray
+    modes: np.ndarray
+
+
+def rest_state(theta_deg: float, omega_deg_s: float) -> np.ndarray:
+    """A state with the load in the middle of any gap, resting beyond no contact if the shaft rests."""
+    state = np.zeros(STATE_SIZE)
+    state[kernel.THETA] = state[kernel.LOAD_THETA] = theta_deg
+    state[kernel.OMEGA] = state[kernel.LOAD_OMEGA] = omega_deg_s
+    return state
+
+
+def run(
+    excitation: Excitation,
+    p: np.ndarray,
+    on: np.ndarray,
+    substep_s: float,
+    state: np.ndarray,
+    first: int = 0,
+    last: int | None = None,
+) -> np.ndarray:
+    """States (last - first, STATE_SIZE) at the sample times, from ``state`` at ``times_s[first]``; it is left untouched."""
+    last = len(excitation.times_s) if last is None else last
+    states = np.empty((last - first, STATE_SIZE))
+    kernel.simulate(
+        excitation.times_s,
+        excitation.act_times_s,
+        excitation.duties_pct,
+        excitation.modes,
+        first,
+        last,
+        state.copy(),
+        substep_s,
+        p,
+        on,
+        states,
+    )
+    return states
+
+
+def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
+    """Which angle of the state the encoder sees: the load's where it sits after a gap, else the motor's."""
+    after = on[EFFECT_INDEX["backlash"]] and p[kernel.SIDE] == _SIDE.choices.index("encoder_after_gap")
+    return kernel.LOAD_THETA if after and p[kernel.GAP] > 0.0 else kernel.THETA
+
+
+def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float) -> np.ndarray:
+    """Angle (n) of the shaft as the encoder would see it without quantisation, in degrees."""
+    p, on = model.vector(), model.switches()
+    states = run(excitation, p, on, model.substep_s(), rest_state(theta_deg, omega_deg_s))
+    return np.asarray(states[:, seen_angle(p, on)])
