@@ -1,0 +1,346 @@
+"""The log of one run, schema ``fiohost.log/1``: read with distrust, written row by row.
+
+The file is CSV: lines ``# key: value``, one header row, rows. The reader (:class:`Log`) uses what is whole and keeps
+a sentence for everything that it left out or doubts (``Log.dropped``); what nobody could use is a LogError. The
+writer is :class:`fiohost.bench.writer.LogWriter`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiohost.bench.rows import parse_rows
+from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
+from fiohost.bench.writer import SCHEMA, LogWriter
+from fiohost.errors import LogError
+from fiohost.settings import nearest
+
+__all__ = ["BRAKE", "DRIVE", "OUTPUT_UNITS", "STANDBY", "Log", "LogWriter"]
+
+FloatArray = NDArray[np.float64]
+
+MAX_LOG_BYTES = 256_000_000
+MAX_METADATA_LINES = 1000
+MAX_LINE_CHARS = 20_000
+MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broken time column, not a gap
+DUTY_TOLERANCE_PCT = 0.01
+DEFAULT_COUNTS_PER_REV = 720
+
+STANDBY, DRIVE, BRAKE = 0, 1, 2
+
+# columns that can be the output, in order of preference, with their units; pos becomes an angle
+OUTPUT_UNITS = {"angle_deg": "deg", "speed_deg_s": "deg/s", "position_m": "m", "speed_m_s": "m/s"}
+_AVERAGES = ("instant", "previous_interval")
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One run: numbers by column (each of shape (rows,)), the file's metadata, and what the reader left out.
+
+    Gaps stay gaps: a missing tick is a missing row, never an invented one.
+    """
+
+    metadata: dict[str, str]
+    columns: dict[str, FloatArray]
+    path: Path
+    sha256: str  # of the file's bytes
+    dropped: tuple[str, ...] = ()
+
+    # ---- making one -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def read(cls, path: str | Path) -> Log:
+        """Read a log file. Raises LogError where it cannot be read, is no log, or holds nothing whole."""
+        path = Path(path)
+        try:
+            with path.open("rb") as handle:
+                data = handle.read(MAX_LOG_BYTES + 1)
+        except OSError as exc:
+            raise LogError(f"cannot read the log {path}: {exc.strerror}") from exc
+        if len(data) > MAX_LOG_BYTES:
+            raise LogError(f"{path} is larger than {MAX_LOG_BYTES // 1_000_000} MB: this is not a log of one run")
+        notes: list[str] = []
+        whole = data.rstrip(b"\0")  # a crashed machine may leave a tail of zeros
+        if len(whole) < len(data):
+            notes.append(f"{len(data) - len(whole)} zero bytes at the end of the file")
+        try:
+            text = whole.decode("utf-8-sig")
+        except UnicodeDecodeError as exc:
+            cut = exc.start >= len(whole) - 3  # cut off inside a character
+            if not cut:
+                raise LogError(f"{path} is not a log: byte {exc.start} is not UTF-8 text") from exc
+            text = whole[: exc.start].decode("utf-8-sig")
+        return cls.parse(text, path=path, sha256=hashlib.sha256(data).hexdigest(), dropped=tuple(notes))
+
+    @classmethod
+    def parse(
+        cls, text: str, *, path: str | Path = "(memory)", sha256: str | None = None, dropped: Sequence[str] = ()
+    ) -> Log:
+        """Make a log of its text. *dropped* are sentences that the caller already has to say. Raises LogError."""
+        path = Path(path)
+        if sha256 is None:
+            sha256 = hashlib.sha256(text.encode()).hexdigest()
+        notes = list(dropped)
+        if "\r" in text:
+            text = text.replace("\r\n", "\n")
+        if not text.strip():
+            raise LogError(f"the log {path} is empty")
+        if "\0" in text[:MAX_LINE_CHARS]:
+            raise LogError(f"{path} is not a log: it holds zero bytes")
+        if not text.endswith("\n"):
+            cut = text.rfind("\n") + 1
+            notes.append("the last line, which is cut off in its middle")
+            text = text[:cut]
+        metadata, names, start, first_line = _head(text, path)
+        _check_names(names, path)
+        table = parse_rows(text[start:], names, _needed(names), first_line, str(path))
+        notes += table.notes
+        return cls._checked(metadata, table.columns, path, sha256, notes)
+
+    @classmethod
+    def from_columns(
+        cls, columns: Mapping[str, Any], metadata: Mapping[str, str] | None = None, path: str | Path = "(memory)"
+    ) -> Log:
+        """Make a log of arrays in memory (simulated data, tests); the same checks as for a file. Raises LogError."""
+        arrays = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+        if len({a.shape for a in arrays.values()}) > 1 or any(a.ndim != 1 for a in arrays.values()):
+            raise LogError(f"{path}: the columns of a log are arrays of one length")
+        _check_names(list(arrays), Path(path))
+        digest = hashlib.sha256(repr(sorted((metadata or {}).items())).encode())
+        for name in sorted(arrays):
+            digest.update(name.encode() + arrays[name].tobytes())
+        return cls._checked(dict(metadata or {}), arrays, Path(path), digest.hexdigest(), [])
+
+    @classmethod
+    def _checked(
+        cls, metadata: dict[str, str], columns: dict[str, FloatArray], path: Path, sha256: str, notes: list[str]
+    ) -> Log:
+        needed = [columns[name] for name in _needed(list(columns))]
+        whole = np.all(np.isfinite(needed), axis=0)
+        if not np.all(whole):
+            first = int(np.argmin(whole))
+            notes.append(f"{int(np.sum(~whole))} rows with missing or infinite numbers (the first is row {first + 1})")
+            columns = {name: values[whole] for name, values in columns.items()}
+        time_s = columns["time_s"]
+        if time_s.size:
+            steps = np.diff(time_s)
+            if np.any(steps < 0):
+                row = int(np.argmax(steps < 0)) + 1
+                raise LogError(
+                    f"{path}: time runs backwards at row {row + 1} ({time_s[row - 1]:g} s, then {time_s[row]:g} s); "
+                    "two runs in one file must be split"
+                )
+            if np.any(steps == 0):
+                keep = np.concatenate(([True], steps > 0))
+                notes.append(f"{int(np.sum(~keep))} rows that repeat the time of the row before")
+                columns = {name: values[keep] for name, values in columns.items()}
+        if not columns["time_s"].size:
+            raise LogError(f"the log {path} holds no whole row" + (f" (dropped: {'; '.join(notes)})" if notes else ""))
+        for values in columns.values():
+            values.setflags(write=False)
+        log = cls(metadata, columns, path, sha256, tuple(notes))
+        return cls(metadata, columns, path, sha256, (*notes, *log._doubts()))
+
+    # ---- what it says -----------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return int(self.time_s.size)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Seconds since the run began, shape (rows,), strictly increasing."""
+        return self.columns["time_s"]
+
+    @property
+    def duty_pct(self) -> FloatArray:
+        """Signed command of each tick in percent of full scale."""
+        return self.columns["duty_pct"]
+
+    @cached_property
+    def mode(self) -> NDArray[np.int8]:
+        """What the bridge was told on each row: DRIVE (1), BRAKE (2) or STANDBY (0); without c3 and c4 all DRIVE."""
+        if "c3" not in self.columns or "c4" not in self.columns:
+            return np.full(len(self), DRIVE, dtype=np.int8)
+        c3, c4 = self.columns["c3"] > 0.5, self.columns["c4"] > 0.5
+        return np.where(c3 & c4, BRAKE, np.where(c3 | c4, DRIVE, STANDBY)).astype(np.int8)
+
+    @property
+    def output_name(self) -> str:
+        """``angle_deg`` (also where it comes from pos), ``speed_deg_s``, ``position_m`` or ``speed_m_s``."""
+        return "angle_deg" if "pos" in self.columns else next(n for n in OUTPUT_UNITS if n in self.columns)
+
+    @property
+    def output_unit(self) -> str:
+        return OUTPUT_UNITS[self.output_name]
+
+    @cached_property
+    def output(self) -> FloatArray:
+        """The measured output, shape (rows,), in :attr:`output_unit`; an angle is unwrapped and starts at POS/2."""
+        if "pos" not in self.columns:
+            return self.columns[self.output_name]
+        return unwrap_counts(self.columns["pos"], self.counts_per_rev) * (360.0 / self.counts_per_rev)
+
+    @property
+    def output_quantum(self) -> float:
+        """Size of one count in the output's unit; 0 where it is not known."""
+        if "pos" in self.columns:
+            return 360.0 / self.counts_per_rev
+        return self._number("output_quantum", 0.0, low=0.0)
+
+    @property
+    def output_average(self) -> str:
+        """``instant``, or ``previous_interval``: the mean speed of the interval that ended at the row."""
+        value = self.metadata.get("output_average", "instant")
+        if value not in _AVERAGES:
+            raise LogError(f"{self.path}: output_average is {value!r}; {nearest(value, _AVERAGES)}")
+        return value
+
+    @cached_property
+    def sample_time_s(self) -> float:
+        """Seconds between ticks: the metadata's, else the median distance of rows."""
+        stated = self._number("sample_time_s", 0.0, low=0.0, high=3600.0)
+        if len(self) < 2:
+            if not stated:
+                raise LogError(f"{self.path}: one row and no sample_time_s in the metadata")
+            return stated
+        step = float(np.median(np.diff(self.time_s)))
+        if not stated:
+            return step
+        if step < 0.7 * stated:
+            raise LogError(
+                f"{self.path}: the metadata say sample_time_s = {stated:g}, but rows are {step:g} s apart: one is wrong"
+            )
+        return stated
+
+    @cached_property
+    def tick(self) -> NDArray[np.int64]:
+        """Tick of each row, counted from the first; more than one apart where ticks are missing."""
+        return np.asarray(np.rint((self.time_s - self.time_s[0]) / self.sample_time_s), dtype=np.int64)
+
+    @property
+    def command_delay_ticks(self) -> int:
+        """Ticks from a row's encoder reading until its command acts; 0 where the metadata do not say."""
+        return int(self._number("command_delay_ticks", 0.0, low=0.0, high=10_000.0, whole=True))
+
+    @property
+    def counts_per_rev(self) -> int:
+        return int(self._number("counts_per_rev", DEFAULT_COUNTS_PER_REV, low=1.0, high=1e9, whole=True))
+
+    @property
+    def pos_reset(self) -> bool:
+        """True where the zero of POS is not the one of the bench's other logs."""
+        return self.metadata.get("pos_reset", "false").strip().lower() in ("true", "1", "yes")
+
+    @cached_property
+    def ambiguous_rows(self) -> NDArray[np.int64]:
+        """Rows before which the shaft may have turned further than the shortest path says (long gaps, high speed)."""
+        if "pos" not in self.columns:
+            return np.zeros(0, dtype=np.int64)
+        return ambiguous_steps(self.columns["pos"], self.time_s, self.sample_time_s, self.counts_per_rev) + 1
+
+    # ---- checks -----------------------------------------------------------------------------------------------
+
+    def _number(self, key: str, default: float, *, low: float, high: float = math.inf, whole: bool = False) -> float:
+        text = self.metadata.get(key, "").strip()
+        if not text:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (low <= value <= high and math.isfinite(value)) or (whole and value != int(value)):
+            raise LogError(f"{self.path}: the metadata say {key} = {text[:40]!r}, which is no sensible number")
+        return value
+
+    def _doubts(self) -> list[str]:
+        """Refuse what is no log; return sentences on gaps and doubtful angles."""
+        schema = self.metadata.get("schema", SCHEMA)
+        if schema != SCHEMA:
+            raise LogError(f"{self.path}: schema is {schema[:60]!r}, this version reads {SCHEMA!r}")
+        self._check_range("duty_pct", -100.0 - DUTY_TOLERANCE_PCT, 100.0 + DUTY_TOLERANCE_PCT)
+        for bit in ("c3", "c4"):
+            if bit in self.columns:
+                self._check_range(bit, 0.0, 1.0, whole=True)
+        if "pos" in self.columns:
+            self._check_range("pos", 0.0, self.counts_per_rev - 1.0, whole=True)
+        _ = self.output_average, self.output_quantum, self.command_delay_ticks
+        if len(self) < 2:
+            return []
+        steps = np.diff(self.time_s) / self.sample_time_s
+        if steps.sum() > MAX_EMPTY_TICKS * len(self) + 1_000_000:
+            raise LogError(
+                f"{self.path}: {len(self)} rows over {self.time_s[-1] - self.time_s[0]:g} s with a sample time of "
+                f"{self.sample_time_s:g} s: nearly all ticks are missing, or the time column is broken"
+            )
+        gaps = np.rint(steps).astype(np.int64) - 1
+        doubts = []
+        if np.any(gaps > 0):
+            worst = int(np.argmax(gaps))
+            doubts.append(
+                f"{int(gaps.clip(0).sum())} ticks are missing in {int(np.sum(gaps > 0))} gaps "
+                f"(the longest: {int(gaps[worst])} ticks after {self.time_s[worst]:g} s)"
+            )
+        if self.ambiguous_rows.size:
+            row = int(self.ambiguous_rows[0])
+            doubts.append(
+                f"the angle is ambiguous from row {row + 1} ({self.time_s[row]:g} s) on: the shaft may have made "
+                "another turn while ticks were missing"
+            )
+        return doubts
+
+    def _check_range(self, name: str, low: float, high: float, *, whole: bool = False) -> None:
+        values = self.columns[name]
+        bad = (values < low) | (values > high)
+        if whole:
+            bad |= values != np.rint(values)
+        if np.any(bad):
+            row = int(np.argmax(bad))
+            kind = "a whole number in " if whole else "in "
+            raise LogError(f"{self.path}: {name} = {values[row]:g} in row {row + 1} is not {kind}{low:g}..{high:g}")
+
+
+def _needed(names: list[str]) -> list[str]:
+    """Columns without which a row cannot be used."""
+    output = "pos" if "pos" in names else next((n for n in OUTPUT_UNITS if n in names), None)
+    return [n for n in ("time_s", "duty_pct", "c3", "c4", output) if n is not None and n in names]
+
+
+def _head(text: str, path: Path) -> tuple[dict[str, str], list[str], int, int]:
+    """Metadata, column names, where the rows start in the text, and the line number of the first row."""
+    metadata: dict[str, str] = {}
+    position = 0
+    for number in range(1, MAX_METADATA_LINES + 2):
+        end = text.find("\n", position)
+        if end < 0:
+            raise LogError(f"the log {path} holds no rows: it ends before its column names")
+        if end - position > MAX_LINE_CHARS:
+            raise LogError(f"{path} is not a log: line {number} is longer than {MAX_LINE_CHARS} characters")
+        line = text[position:end].strip()
+        position = end + 1
+        if line.startswith("#"):
+            key, _, value = line.lstrip("# ").partition(":")
+            metadata[key.strip()] = value.strip()
+        elif line:
+            return metadata, [name.strip().strip('"') for name in line.split(",")], position, number + 1
+    raise LogError(f"{path} is not a log: {MAX_METADATA_LINES} lines and no column names")
+
+
+def _check_names(names: list[str], path: Path) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise LogError(f"{path}: column {twice[0]!r} is there twice")
+    hint = "a table of another shape becomes a log by: fiohost import TABLE --map MAP -o LOG"
+    for name in ("time_s", "duty_pct"):
+        if name not in names:
+            raise LogError(f"{path} has no column {name!r} (its first: {', '.join(names[:6])[:120]}); {hint}")
+    if "pos" not in names and not any(name in names for name in OUTPUT_UNITS):
+        raise LogError(f"{path} has no output column: pos, {', '.join(OUTPUT_UNITS)}; {hint}")

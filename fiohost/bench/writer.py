@@ -1,0 +1,132 @@
+"""Writing a log: every row goes to the operating system as soon as it is known, so that a killed host loses none.
+
+What is only known at the end (how the run ended, tick statistics) has a line of fixed width in the head, written over
+when the log is closed; in the log of a killed host that line still says ``unfinished``.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from fiohost.errors import LogError
+
+SCHEMA = "fiohost.log/1"
+COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
+_ENDING_CHARS = 400
+_UNFINISHED = "unfinished (the host did not close this log)"
+
+
+class LogWriter:
+    """Writes one log. A context manager; ``row`` for each tick, ``close(ending)`` or leaving the context ends it.
+
+    ``path=None`` keeps the log in memory (:meth:`text`). Raises LogError where the file cannot be written.
+    """
+
+    def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
+        self.path = Path(path) if path is not None else None
+        self.rows = 0
+        self._host_time = host_time
+        self._file: BinaryIO
+        try:
+            # unbuffered: a row is one write call, and a failure is seen on the row that failed
+            self._file = io.BytesIO() if self.path is None else self.path.open("wb", buffering=0)
+        except OSError as exc:
+            raise LogError(f"cannot write the log {path}: {exc.strerror}; nothing was driven") from exc
+        self._closed = False
+        head = [f"# schema: {SCHEMA}\n"]
+        head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
+        self._ending_at = len("".join(head).encode())
+        head.append(_ending_line(_UNFINISHED))
+        head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
+        try:
+            self._write("".join(head).encode())
+        except LogError:
+            self._file.close()
+            raise
+
+    def row(
+        self,
+        time_s: float,
+        duty_pct: float,
+        c3: int,
+        c4: int,
+        pos: int,
+        direction: int,
+        ref_deg: float | None = None,
+        angle_deg: float | None = None,
+        host_time_s: float | None = None,
+    ) -> None:
+        """Write one tick: the encoder reading of this tick and the command computed from it. Raises LogError."""
+        ref = "" if ref_deg is None else f"{ref_deg:.9g}"
+        angle = "" if angle_deg is None else f"{angle_deg:.12g}"
+        line = f"{time_s:.9g},{duty_pct:.9g},{c3},{c4},{pos},{direction},{ref},{angle}"
+        if self._host_time:
+            line += f",{host_time_s:.6f}" if host_time_s is not None else ","
+        self._write(line.encode() + b"\n")
+        self.rows += 1
+
+    def close(self, ending: str = "complete") -> None:
+        """Say in the head how the run ended, make the file durable and close it. Twice is harmless."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._file.seekable():
+                self._file.seek(self._ending_at)
+                self._file.write(_ending_line(ending).encode())
+            if self.path is not None:
+                _sync(self._file)
+                self._file.close()
+        except OSError as exc:
+            raise LogError(f"cannot finish the log {self.path}: {exc.strerror}; its rows are written") from exc
+
+    def text(self) -> str:
+        """The whole log, of one kept in memory."""
+        if not isinstance(self._file, io.BytesIO):
+            raise LogError("only a log kept in memory gives its text")
+        return self._file.getvalue().decode()
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close("complete" if kind is None else f"stopped: {kind.__name__}")
+
+    def _write(self, data: bytes) -> None:
+        try:
+            written = self._file.write(data)
+            while written < len(data):  # a nearly full disk may take a part
+                data = data[written:]
+                written = self._file.write(data)
+        except OSError as exc:
+            raise LogError(
+                f"cannot write the log {self.path}: {exc.strerror}; {self.rows} rows are safe in it"
+            ) from exc
+
+
+def _sync(file: BinaryIO) -> None:
+    try:
+        os.fsync(file.fileno())
+    except OSError as exc:
+        if exc.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EROFS):  # pipes and some devices cannot be synced
+            raise
+
+
+def _ending_line(ending: str) -> str:
+    """The line of fixed width (in bytes) that says how the run ended."""
+    text = _clean(ending, _ENDING_CHARS).encode()[:_ENDING_CHARS].decode(errors="ignore")
+    return f"# ending: {text}{' ' * (_ENDING_CHARS - len(text.encode()))}\n"
+
+
+def _clean(text: str, most: int) -> str:
+    """One line, without control characters, so that no value can forge a line of the file."""
+    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", str(text))[:most].strip()
