@@ -1,0 +1,22 @@
+"""Shared by the tests: where the real measurements are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """Folder with the real measurements (``measured/`` in it): FIOHOST_DATA, else ``../shared/data``."""
+    named = os.environ.get("FIOHOST_DATA")
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
+    if not (folder / "measured").is_dir():
+        pytest.skip(
+            f"REAL MEASUREMENTS ABSENT: no folder {folder / 'measured'}; set FIOHOST_DATA to the folder above it"
+        )
+    return folder
