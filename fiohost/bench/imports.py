@@ -222,7 +222,7 @@ def _sample_time(time_s: NDArray[np.float64]) -> float:
     """The tick of times that may be printed with few digits and miss rows: a straight line through time over tick.
 
     Ticks are counted with the median step at first and recounted as the line is known over twice as many rows; where
-    the times do not lie on such a grid (no common tick) the median step is the answer.
+    the times do not lie on such a grid (no common tick) the mean or median step is the answer.
     """
     elapsed = time_s - time_s[0]
     median = float(np.median(np.diff(time_s)))
@@ -235,9 +235,12 @@ def _sample_time(time_s: NDArray[np.float64]) -> float:
         if rows >= len(elapsed):
             break
         rows *= 2
-    on_grid = float(np.abs(elapsed / step - np.rint(elapsed / step)).max()) < 0.45
-    grows = bool(np.all(np.diff(np.rint(elapsed / step)) >= 1))
-    return float(f"{step if on_grid and grows else median:.9g}")
+    ticks = np.rint(elapsed / step)
+    on_grid = float(np.std(elapsed / step - ticks)) < 0.2 and float(np.mean(np.diff(ticks) >= 1)) > 0.98
+    if not on_grid:
+        mean = float(elapsed[-1] / (len(elapsed) - 1))
+        step = mean if abs(mean / median - 1.0) < 0.05 else median  # the mean, unless rows are missing
+    return float(f"{step:.9g}")
 
 
 def _duty(columns: dict[str, NDArray[np.float64]], rows: int, table_map: TableMap, path: Path) -> NDArray[np.float64]:

@@ -1,0 +1,163 @@
+"""One self-contained HTML page of a diagnosis: verdict first, then figures, pictures, parameters and the opened seal.
+
+Nothing in it is loaded from anywhere: style and pictures are inside, so that it can be mailed, printed and kept.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from fiohost import __version__
+from fiohost.errors import LogError
+from fiohost.report import words
+from fiohost.report.plots import as_svg, plot_candidates, plot_curve, plot_residual_bars, plot_series
+from fiohost.report.series import CurvePlot, SeriesPlot
+
+__all__ = ["CurvePlot", "SeriesPlot", "write_page"]
+
+TEMPLATE = Path(__file__).with_name("page.html.j2")
+
+
+def write_page(
+    path: Path,
+    *,
+    title: str,
+    diagnosis: Mapping[str, Any],
+    series: Sequence[SeriesPlot] = (),
+    seal: Mapping[str, Any] | None = None,
+    confirm: Mapping[str, Any] | None = None,
+    curves: Sequence[CurvePlot] = (),
+) -> Path:
+    """Write the page, whole or not at all, and return *path*.
+
+    ``diagnosis`` follows ``fiohost.diagnosis/1``. ``confirm`` is the judgement on a fresh record: ``before``,
+    ``after`` and ``floor`` like E of the diagnosis, optionally ``file``, ``experiment``, ``improvement_pct`` and its
+    ``ci95``; other keys are listed as they are. ``seal`` is what a sealed bench turned out to be: any nested mapping.
+    Raises LogError where the file cannot be written.
+    """
+    html = render(title=title, diagnosis=diagnosis, series=series, seal=seal, confirm=confirm, curves=curves)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=".page.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(html)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as exc:
+        raise LogError(f"cannot write the page {path}: {exc.strerror}") from exc
+    return path
+
+
+def render(
+    *,
+    title: str,
+    diagnosis: Mapping[str, Any],
+    series: Sequence[SeriesPlot] = (),
+    seal: Mapping[str, Any] | None = None,
+    confirm: Mapping[str, Any] | None = None,
+    curves: Sequence[CurvePlot] = (),
+) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["number"] = words.number
+    environment.filters["effect"] = words.effect_words
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    logs = list(diagnosis.get("logs") or [])
+    candidates = sorted(diagnosis.get("candidates") or [], key=lambda c: -float(c.get("score") or 0.0))
+    steps = list(diagnosis.get("steps") or [])
+    chosen = [str(step.get("effect")) for step in steps]
+    unit = str(diagnosis.get("output_unit", ""))
+    final = diagnosis.get("final") or diagnosis.get("declared") or {}
+    return template.render(
+        title=title,
+        version=diagnosis.get("fiohost_version", __version__),
+        verdict=str(diagnosis.get("verdict", "")),
+        sentence=words.verdict_sentence(diagnosis),
+        unit=unit,
+        declared=str((diagnosis.get("declared") or {}).get("model", "")),
+        final=final,
+        stages=list(_stages(diagnosis)),
+        logs=[{**log, "name": Path(str(log.get("file", "?"))).name} for log in logs],
+        error_of=words.error_of,
+        interval=words.interval,
+        remark=words.remark,
+        steps=steps,
+        chosen=chosen,
+        candidates=candidates,
+        follows=words.follows(diagnosis),
+        white=(diagnosis.get("residual") or {}).get("white"),
+        tests=flatten((diagnosis.get("residual") or {}).get("tests") or {}),
+        upcoming=diagnosis.get("next_experiment"),
+        confirm=confirm,
+        confirm_sentence=confirm_sentence(confirm, unit) if confirm else "",
+        confirm_rest=flatten({k: v for k, v in confirm.items() if k not in CONFIRM_KEYS}) if confirm else [],
+        seal=flatten(seal) if seal else [],
+        seconds=diagnosis.get("seconds"),
+        pictures_confirm=[as_svg(plot_series(s)) for s in series if s.role == "confirm"],
+        pictures_holdout=[as_svg(plot_series(s)) for s in series if s.role == "holdout"],
+        pictures_train=[as_svg(plot_series(s)) for s in series if s.role not in ("confirm", "holdout")],
+        picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",
+        picture_candidates=as_svg(plot_candidates(candidates, chosen)) if candidates else "",
+        pictures_curves=[as_svg(plot_curve(c)) for c in curves],
+    )
+
+
+CONFIRM_KEYS = ("before", "after", "floor", "improvement_pct", "ci95")
+
+
+def confirm_sentence(confirm: Mapping[str, Any], unit: str) -> str:
+    """What the fresh record says, in a sentence."""
+    before, after, floor = (words.error_of(confirm, stage) for stage in ("before", "after", "floor"))
+    if before is None or after is None:
+        return ""
+    text = (
+        f"On a fresh record the error went from {words.with_unit(before, unit)} to {words.with_unit(after, unit)} rms"
+    )
+    if floor is not None:
+        text += f", with a floor of {words.with_unit(floor, unit)}"
+    gain = confirm.get("improvement_pct")
+    if isinstance(gain, (int, float)):
+        text += f": {words.number(gain, 3)} % less"
+        bounds = words.interval(confirm)
+        if bounds != words.DASH:
+            text += f" (95 % interval {bounds} %)"
+    return text + "."
+
+
+def flatten(value: Any, name: str = "") -> list[tuple[str, str]]:
+    """Nested mappings and lists as rows of (dotted name, text)."""
+    if isinstance(value, Mapping):
+        return [row for key, item in value.items() for row in flatten(item, f"{name}.{key}" if name else str(key))]
+    if isinstance(value, (list, tuple)) and any(isinstance(item, (Mapping, list, tuple)) for item in value):
+        return [row for i, item in enumerate(value, start=1) for row in flatten(item, f"{name}[{i}]")]
+    if isinstance(value, (list, tuple)):
+        return [(name, words.listed(_text(item) for item in value) or "none")]
+    return [(name, _text(value))]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None:
+        return words.DASH
+    return words.number(value, 5) if isinstance(value, (int, float)) else str(value)
+
+
+def _stages(diagnosis: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+    """Rows of the before/after table: label, ``{"train": E, "holdout": E|null}``, kind."""
+    yield str((diagnosis.get("declared") or {}).get("model", "declared model")), diagnosis.get("before"), "before"
+    for step in diagnosis.get("steps") or []:
+        yield f"+ {words.effect_words(str(step.get('effect')))}", step.get("after"), "after"
+    yield "floor", diagnosis.get("floor"), "floor"

@@ -1,0 +1,154 @@
+"""Results in plain words: the verdict in one sentence, numbers with sensible digits, names of what a residual follows.
+
+Knows the JSON of a diagnosis (schema ``fiohost.diagnosis/1``) and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+DASH = "–"
+
+FOLLOWS = {
+    "angle": "the shaft angle",
+    "angle_and_speed_sign": "the shaft angle and the direction of motion",
+    "speed": "the speed",
+    "speed_sign": "the direction of motion",
+    "duty": "the duty",
+    "duty_sign": "the sign of the duty",
+    "current": "the current",
+    "time": "the time",
+    "acceleration": "the acceleration",
+    "reversals": "reversals",
+    "starts": "starts from rest",
+    "stops": "stops",
+    "command": "the command",
+    "standstill": "standstill",
+}
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """A number with *digits* significant digits, no exponent where it can be helped; a dash for none, NaN or text."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return DASH
+    if not math.isfinite(value):
+        return DASH if math.isnan(value) else ("infinite" if value > 0 else "-infinite")
+    if value == 0:
+        return "0"
+    if isinstance(value, int) and abs(value) < 10**7:
+        return str(value)
+    if 1e-4 <= abs(value) < 1e6:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def with_unit(value: Any, unit: str, digits: int = 3) -> str:
+    text = number(value, digits)
+    return text if text == DASH or not unit else f"{text} {unit}"
+
+
+def interval(parameter: Mapping[str, Any]) -> str:
+    """The 95 % interval of one parameter, ``[lo, hi]``, or a dash."""
+    bounds = parameter.get("ci95")
+    if not isinstance(bounds, Sequence) or len(bounds) != 2 or any(number(b) == DASH for b in bounds):
+        return DASH
+    return f"{number(bounds[0])} .. {number(bounds[1])}"
+
+
+def remark(parameter: Mapping[str, Any]) -> str:
+    """What a reader must know about one parameter before using it."""
+    notes = []
+    if parameter.get("identifiable") is False:
+        notes.append("not identifiable from these data")
+    if parameter.get("at_bound"):
+        notes.append("at its bound")
+    return "; ".join(notes)
+
+
+def listed(names: Iterable[str], last: str = "and") -> str:
+    items = list(names)
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def effect_words(name: str) -> str:
+    """``coulomb_friction`` as people say it."""
+    return name.replace("_", " ")
+
+
+def judged(diagnosis: Mapping[str, Any]) -> str:
+    """The role whose figures count: ``holdout`` where there is one, else ``train``."""
+    before = diagnosis.get("before") or {}
+    return "holdout" if before.get("holdout") else "train"
+
+
+def error_of(block: Any, role: str, key: str = "free_run_rms") -> float | None:
+    """One figure out of ``{"train": E, "holdout": E|null}``."""
+    entry = block.get(role) if isinstance(block, Mapping) else None
+    value = entry.get(key) if isinstance(entry, Mapping) else None
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def follows(diagnosis: Mapping[str, Any]) -> str:
+    """What the remaining residual depends on, in words; empty where nothing is known."""
+    names = (diagnosis.get("residual") or {}).get("depends_on") or []
+    return listed(FOLLOWS.get(str(name), str(name).replace("_", " ")) for name in names)
+
+
+def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """The result in one or two sentences that stand alone."""
+    verdict = diagnosis.get("verdict")
+    declared = str((diagnosis.get("declared") or {}).get("model", "the declared model"))
+    found = [_with_rivals(step) for step in diagnosis.get("steps") or []]
+    change = _change(diagnosis)
+    rest = follows(diagnosis)
+    if verdict == "no_missing_effect":
+        return f"Nothing is missing: {declared} explains the data down to their floor{_level(diagnosis)}."
+    if verdict == "explained":
+        return f"Missing from {declared}: {listed(found)}. {change}"
+    remains = f"what remains follows {rest}" if rest else "what remains follows nothing that was looked at"
+    if found:
+        return (
+            f"Partly explained: adding {listed(found)} helped, but structure remains. {change} Unexplained: {remains}."
+        )
+    return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
+
+
+def _with_rivals(step: Mapping[str, Any]) -> str:
+    rivals = [effect_words(str(name)) for name in step.get("indistinguishable_from") or []]
+    name = effect_words(str(step.get("effect", "?")))
+    return f"{name} (these data cannot tell it from {listed(rivals, 'or')})" if rivals else name
+
+
+def _level(diagnosis: Mapping[str, Any], lead: str = ", ") -> str:
+    role = judged(diagnosis)
+    error = error_of(diagnosis.get("after"), role)
+    floor = error_of(diagnosis.get("floor"), role)
+    if error is None:
+        return ""
+    unit = str(diagnosis.get("output_unit", ""))
+    floor_text = f", floor {with_unit(floor, unit)}" if floor is not None else ""
+    if lead == ", ":
+        return f" ({_role(role)} error {with_unit(error, unit)}{floor_text})"
+    return f"{lead}The {_role(role)} error is {with_unit(error, unit)}{floor_text}."
+
+
+def _change(diagnosis: Mapping[str, Any]) -> str:
+    role = judged(diagnosis)
+    unit = str(diagnosis.get("output_unit", ""))
+    before, after = (error_of(diagnosis.get(key), role) for key in ("before", "after"))
+    floor = error_of(diagnosis.get("floor"), role)
+    if before is None or after is None:
+        return ""
+    verb = "falls" if after < before else "goes"
+    tail = f"; the floor is {with_unit(floor, unit)}" if floor is not None else ""
+    text = f"The {_role(role)} error {verb} from {with_unit(before, unit)} to {with_unit(after, unit)} rms{tail}."
+    return text[0].upper() + text[1:]
+
+
+def _role(role: str) -> str:
+    return "held-out" if role == "holdout" else "training"

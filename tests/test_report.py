@@ -1,0 +1,181 @@
+"""The report room turns results into words, tables, pictures and one page that needs nothing but itself."""
+
+from __future__ import annotations
+
+import copy
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from report_case import curve, diagnosis, error, series
+from rich.console import Console
+
+from fiohost.errors import LogError
+from fiohost.report import words
+from fiohost.report.page import write_page
+from fiohost.report.plots import save_plots
+from fiohost.report.series import SeriesPlot
+from fiohost.report.tables import print_diagnosis
+
+
+def printed(result: dict[str, Any]) -> str:
+    console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    print_diagnosis(console, result)
+    return console.export_text()
+
+
+def test_the_verdict_names_effect_rivals_and_held_out_errors() -> None:
+    sentence = words.verdict_sentence(diagnosis())
+    assert sentence == (
+        "Missing from linear+coulomb_friction: gravity load (these data cannot tell it from cogging torque). "
+        "The held-out error falls from 18.7 deg to 0.149 deg rms; the floor is 0.146 deg."
+    )
+
+
+def test_the_verdict_says_when_nothing_is_missing_and_when_it_cannot_be_named() -> None:
+    clean = {**diagnosis(), "verdict": "no_missing_effect", "steps": []}
+    assert words.verdict_sentence(clean).startswith("Nothing is missing: linear+coulomb_friction explains the data")
+    lost = {**diagnosis(), "verdict": "unexplained", "steps": []}
+    assert "no candidate accounts for; what remains follows the shaft angle and the direction of motion" in (
+        words.verdict_sentence(lost)
+    )
+    partly = {**diagnosis(), "verdict": "unexplained"}
+    assert words.verdict_sentence(partly).startswith("Partly explained: adding gravity load")
+
+
+def test_without_held_out_logs_the_training_error_is_what_is_told() -> None:
+    result = diagnosis()
+    for key in ("before", "after", "floor"):
+        result[key]["holdout"] = None
+    assert "The training error falls from 21.3 deg to 0.151 deg" in words.verdict_sentence(result)
+    assert "floor" in printed(result)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1234.5, "1234"), (0.14567, "0.1457"), (2.5e-7, "2.500e-07"), (None, "–"), (float("nan"), "–"),
+     (float("inf"), "infinite"), (720, "720"), (True, "–"), ("x", "–")],
+)  # fmt: skip
+def test_numbers_have_sensible_digits(value: Any, text: str) -> None:
+    assert words.number(value) == text
+
+
+def test_the_terminal_shows_errors_floor_parameters_and_candidates() -> None:
+    text = printed(diagnosis())
+    for part in ("random_steps.csv", "held out", "floor (from replicas)", "coulomb_friction.level_pct",
+                 "1.594 .. 1.626", "not identifiable from these data", "at its bound", "chosen",
+                 "slow_turns"):  # fmt: skip
+        assert part in text, part
+    assert "<b>" not in text  # only the file's name, not its folder
+
+
+def test_names_from_files_are_never_read_as_markup() -> None:
+    result = diagnosis()
+    result["logs"][0]["file"] = "[bold red]x.csv"
+    assert "[bold red]x.csv" in printed(result)
+
+
+class Checker(HTMLParser):
+    """Collects everything that would be fetched, and checks that elements are closed in order."""
+
+    VOID = frozenset({"meta", "br", "hr", "img", "link", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.ids: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href", "data", "action") and not (value or "").startswith(("#", "data:")):
+                self.fetched.append(f"{tag} {name}={value}")
+            if name == "id" and value:
+                self.ids.append(value)
+        if tag in ("script", "iframe", "link", "object"):
+            self.fetched.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, f"</{tag}> closes nothing"
+
+
+def test_the_page_is_one_file_that_fetches_nothing(tmp_path: Path) -> None:
+    confirm = {
+        "file": "fresh.csv",
+        "before": error(18.0),
+        "after": error(0.15),
+        "improvement_pct": 99.2,
+        "ci95": [99, 99.3],
+    }
+    seal = {"effects": [{"name": "gravity_load", "level_pct": 2.41}], "plant": {"R_ohm": 5.5}}
+    path = write_page(
+        tmp_path / "deep" / "page.html", title="close-loop <seed> & 12", diagnosis=diagnosis(),
+        series=[series("train"), series("holdout"), series("confirm")], seal=seal, confirm=confirm, curves=[curve()],
+    )  # fmt: skip
+    html = path.read_text(encoding="utf-8")
+    checker = Checker()
+    checker.feed(html)
+    assert checker.open == []
+    assert checker.fetched == []
+    assert "http" not in html
+    assert "@import" not in html
+    assert not re.search(r"url\((?!#)", html)
+    assert len(checker.ids) == len(set(checker.ids)), "two pictures share an id"
+    assert "close-loop &lt;seed&gt; &amp; 12" in html
+    assert "<b>bench" not in html
+    assert html.index("Missing from linear") < html.index("Error before and after") < html.index("The seal, opened")
+    assert "99.2 % less (95 % interval 99 .. 99.30 %)" in html
+    assert html.count("<svg") == 6
+    assert len(html) < 3_000_000
+    assert [p.name for p in path.parent.iterdir()] == ["page.html"]
+
+
+def test_the_page_stands_with_the_least_that_a_diagnosis_can_hold(tmp_path: Path) -> None:
+    result = copy.deepcopy(diagnosis())
+    result.update(verdict="no_missing_effect", steps=[], candidates=[], next_experiment=None)
+    for key in ("before", "after", "floor"):
+        result[key]["holdout"] = None
+    html = write_page(tmp_path / "page.html", title="t", diagnosis=result).read_text(encoding="utf-8")
+    assert "Nothing is missing" in html
+    assert "The seal" not in html
+
+
+def test_pictures_are_saved_with_harmless_names_and_a_long_log_stays_small(tmp_path: Path) -> None:
+    long = series(samples=200_000)
+    odd = SeriesPlot("../a b/ö.csv", "train", "deg", long.time_s, long.measured, long.before, None)
+    files = save_plots(tmp_path / "pictures", [long, odd], diagnosis(), [curve()])
+    assert len(files) == 5
+    for file in files:
+        assert file.parent == tmp_path / "pictures"
+        assert file.read_bytes().startswith(b"\x89PNG")
+        assert file.stat().st_size < 500_000
+
+
+def test_missing_figures_leave_gaps_and_no_failure(tmp_path: Path) -> None:
+    result = diagnosis()
+    for log in result["logs"]:
+        log["after"] = log["floor"] = None
+        log["before"]["window_rms"] = float("nan")
+    short = SeriesPlot("one", "train", "m", np.zeros(1), np.zeros(1), np.zeros(1), None, np.zeros(1))
+    assert write_page(tmp_path / "page.html", title="t", diagnosis=result, series=[short]).is_file()
+    printed(result)
+
+
+def test_an_unwritable_page_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError, match="cannot write the page"):
+        write_page(tmp_path / "file" / "page.html", title="t", diagnosis=diagnosis())
+    with pytest.raises(LogError, match="cannot write pictures"):
+        save_plots(tmp_path / "file", [], diagnosis())
+
+
+def test_tables_need_no_plotting() -> None:
+    code = "import sys, fiohost.report.tables; sys.exit('matplotlib' in sys.modules or 'numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
