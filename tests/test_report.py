@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
+import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -179,3 +180,15 @@ def test_an_unwritable_page_is_refused(tmp_path: Path) -> None:
 def test_tables_need_no_plotting() -> None:
     code = "import sys, fiohost.report.tables; sys.exit('matplotlib' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_browser_shows_the_page(tmp_path: Path) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium on this machine: the page was checked as text only")
+    page = write_page(tmp_path / "page.html", title="t", diagnosis=diagnosis(), series=[series()])
+    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]
+    shown = subprocess.run([browser, *options, page.as_uri()], capture_output=True, timeout=120, check=True)
+    dom = shown.stdout.decode()
+    assert "Missing from linear+coulomb_friction" in dom
+    assert dom.count("<svg") == 3

@@ -71,7 +71,7 @@ def plot_series(series: SeriesPlot) -> Figure:
         axes.plot(series.time_s[keep], error[keep], color=_line(name)["color"], linewidth=0.9)
         axes.set_ylabel(f"error {name}\n({series.unit})")
         rms = float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
-        floor = f"   floor {series.floor_rms:.3g} (green band)" if np.isfinite(series.floor_rms) else ""
+        floor = f", floor {series.floor_rms:.3g} (green band)" if np.isfinite(series.floor_rms) else ""
         note = f"{name}: rms {rms:.3g} {series.unit}{floor}"
         axes.set_title(note, fontsize=9, fontweight="normal", color="#333333", pad=3)
     if series.duty_pct is not None:
@@ -82,7 +82,8 @@ def plot_series(series: SeriesPlot) -> Figure:
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set_xlabel("time (s)")
-    rows[-1].margins(x=0.01)
+    if len(time_s) > 1:
+        rows[-1].set_xlim(series.time_s[0], series.time_s[-1])
     figure.align_ylabels(rows)
     return figure
 
