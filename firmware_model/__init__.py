@@ -1,0 +1,38 @@
+"""The device at the other end of the wire: a simulated STM32 board with bridge, timer, encoder, motor and load.
+
+It knows nothing of the host. ``Board.step`` takes the bytes of a report and returns the bytes of a telemetry report.
+The names below are loaded on first use, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from firmware_model.board import Board
+    from firmware_model.errors import FirmwareModelError
+    from firmware_model.instruments import Instruments
+    from firmware_model.plants import Plant, load_plant, plant_names
+    from firmware_model.sealed import draw, reveal
+
+_WHERE = {
+    "Board": "board",
+    "FirmwareModelError": "errors",
+    "Instruments": "instruments",
+    "Plant": "plants",
+    "draw": "sealed",
+    "load_plant": "plants",
+    "plant_names": "plants",
+    "reveal": "sealed",
+}
+
+__all__ = ["Board", "FirmwareModelError", "Instruments", "Plant", "draw", "load_plant", "plant_names", "reveal"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    globals()[name] = value
+    return value

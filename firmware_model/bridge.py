@@ -1,0 +1,17 @@
+"""The bridge LB1836M: what the winding sees for the four settings of C3 and C4 (lab text, Table 2.3)."""
+
+from __future__ import annotations
+
+from firmware_model.report import PERIOD, Command
+
+# Modes of the winding, as the kernel knows them.
+STANDBY = 0  # open: no current
+DRIVEN = 1  # on for the duty, shorted for the rest of each period (slow decay); duty 0 is a brake
+
+TRUTH_TABLE = {(1, 0): (DRIVEN, 1.0), (0, 1): (DRIVEN, -1.0), (1, 1): (DRIVEN, 0.0), (0, 0): (STANDBY, 0.0)}
+
+
+def drive(command: Command) -> tuple[int, float]:
+    """Mode and signed duty in percent of full scale; a compare value beyond the period stays on."""
+    mode, sign = TRUTH_TABLE[command.c3, command.c4]
+    return mode, sign * 100.0 * min(command.compare, PERIOD) / PERIOD

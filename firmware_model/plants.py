@@ -1,0 +1,152 @@
+"""A plant: motor, bridge and load as a set of constants that belongs together, with the effects it has."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from firmware_model.effect import Parameter
+from firmware_model.errors import FirmwareModelError
+from firmware_model.reading import number, parameters, unknown
+from firmware_model.registry import effects
+
+TINY = 1e-12
+
+MOTOR = (
+    Parameter("R_ohm", lower=1e-3, upper=1e4),
+    Parameter("L_H", default=0.0, lower=0.0, upper=10.0),
+    Parameter("Kt_Nm_per_A", lower=1e-6, upper=1e3),
+    Parameter("Ke_Vs_per_rad", lower=1e-6, upper=1e3),
+    Parameter("J_kgm2", lower=TINY, upper=1e3),
+    Parameter("B_Nms", default=0.0, lower=0.0, upper=1e3),
+    Parameter("coulomb_Nm", default=0.0, lower=0.0, upper=1e3),
+    Parameter("supply_V", lower=0.1, upper=1e3),
+)
+KEYS = (*(q.key for q in MOTOR), "name", "source", "counts_per_rev", "effects", "schema")
+SCHEMA = "firmware_model.plant/1"
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Constants of a motor referred to its output shaft, SI units; ``effects`` maps a name to its SI parameters.
+
+    ``supply_V`` is the winding's voltage at full duty. ``J_kgm2`` is all inertia, loads behind a gap or spring included.
+    """
+
+    name: str
+    R_ohm: float
+    L_H: float
+    Kt_Nm_per_A: float
+    Ke_Vs_per_rad: float
+    J_kgm2: float
+    B_Nms: float
+    coulomb_Nm: float
+    supply_V: float
+    counts_per_rev: int = 720
+    source: str = ""
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def percent_of_torque(self, torque_Nm: float) -> float:
+        """The duty in percent whose stall torque balances ``torque_Nm``: 100 T R / (Kt V)."""
+        return 100.0 * torque_Nm * self.R_ohm / (self.Kt_Nm_per_A * self.supply_V)
+
+    @property
+    def gain_deg_s_per_pct(self) -> float:
+        """Speed per percent of duty without dry friction: K = Kt V / (100 (Kt Ke + R B))."""
+        damping = self.Kt_Nm_per_A * self.Ke_Vs_per_rad + self.R_ohm * self.B_Nms
+        return math.degrees(0.01 * self.supply_V * self.Kt_Nm_per_A / damping)
+
+    @property
+    def tau_s(self) -> float:
+        """Mechanical time constant without inductance: J R / (Kt Ke + R B)."""
+        return self.J_kgm2 * self.R_ohm / (self.Kt_Nm_per_A * self.Ke_Vs_per_rad + self.R_ohm * self.B_Nms)
+
+    def reduced(self) -> dict[str, dict[str, Any]]:
+        """What a log can tell of this plant: parameters in percent of duty, degrees and seconds, by effect."""
+        result: dict[str, dict[str, Any]] = {
+            "linear": {"gain_deg_s_per_pct": self.gain_deg_s_per_pct, "tau_s": self.tau_s}
+        }
+        if self.coulomb_Nm > 0.0:
+            # Viscous damping and dry friction are separate here, as they are in the reduced model.
+            result["coulomb_friction"] = {"level_pct": self.percent_of_torque(self.coulomb_Nm)}
+        if self.L_H > 0.0:
+            result["armature_inductance"] = {"time_constant_s": self.L_H / self.R_ohm}
+        for name, values in self.effects.items():
+            result[name] = effects()[name].reduced(self, values)
+        return result
+
+
+def make_plant(table: Mapping[str, Any], name: str) -> Plant:
+    """A plant from the tables of its file; ``name`` is used in messages."""
+    where = f"plant {name!r}"
+    known = {*KEYS}
+    for key in table:
+        if key not in known:
+            raise unknown(key, known, where)
+    if table.get("schema", SCHEMA) != SCHEMA:
+        raise FirmwareModelError(f"{where}: schema {table['schema']!r} is not {SCHEMA!r}")
+    for key in ("name", "source"):
+        if not isinstance(table.get(key, ""), str):
+            raise FirmwareModelError(f"{where}: {key} must be text, not {table[key]!r}")
+    motor_keys = {q.key for q in MOTOR}
+    motor = parameters({k: v for k, v in table.items() if k in motor_keys}, MOTOR, where)
+    counts = number(table.get("counts_per_rev", 720), "counts_per_rev", where, 4, 65536)
+    if counts != int(counts):
+        raise FirmwareModelError(f"{where}: counts_per_rev must be a whole number, not {counts}")
+    given = table.get("effects", {})
+    if not isinstance(given, Mapping):
+        raise FirmwareModelError(f"{where}: effects must be tables [effects.NAME], not {given!r}")
+    chosen: dict[str, Mapping[str, Any]] = {}
+    for effect_name, values in given.items():
+        if effect_name not in effects():
+            raise unknown(effect_name, effects(), f"{where}, effects")
+        if not isinstance(values, Mapping):
+            raise FirmwareModelError(f"{where}: [effects.{effect_name}] must be a table, not {values!r}")
+        chosen[effect_name] = parameters(values, effects()[effect_name].parameters, f"{where}, [effects.{effect_name}]")
+    plant = Plant(
+        name=str(table.get("name", name)),
+        source=str(table.get("source", "")),
+        counts_per_rev=int(counts),
+        effects=chosen,
+        **motor,
+    )
+    for effect_name, checked in chosen.items():
+        load = float(checked.get("load_inertia_kgm2", 0.0))
+        if load >= plant.J_kgm2:
+            raise FirmwareModelError(
+                f"{where}, [effects.{effect_name}]: load_inertia_kgm2 = {load:g} must be less than the whole "
+                f"inertia J_kgm2 = {plant.J_kgm2:g} of which it is a part"
+            )
+    return plant
+
+
+def _folder() -> Path:
+    """Where the named plants are: in the installed package, else in the checkout."""
+    here = Path(__file__).resolve().parent
+    installed = here / "plants"
+    return installed if installed.is_dir() else here.parent / "configs" / "plants"
+
+
+def plant_names() -> list[str]:
+    """Names of the plants that ship with the package."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def load_plant(path_or_name: str | Path) -> Plant:
+    """A plant by the name of a shipped one, or from a TOML file (a name with a slash or ending in .toml)."""
+    text = str(path_or_name)
+    is_path = isinstance(path_or_name, Path) or text.endswith(".toml") or "/" in text or "\\" in text
+    path = Path(text) if is_path else _folder() / f"{text}.toml"
+    if not is_path and text not in plant_names():
+        raise FirmwareModelError(f"no plant named {text!r}; there are: {', '.join(plant_names())}")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FirmwareModelError(f"cannot read plant file {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FirmwareModelError(f"plant file {path} is not valid TOML: {error}") from error
+    return make_plant(table, path.stem)
