@@ -67,13 +67,6 @@ def test_an_unwritable_log_is_refused_in_one_sentence(tmp_path: Path, place: str
         LogWriter(tmp_path / place, {})
 
 
-def test_a_full_disk_is_one_sentence_that_says_what_is_safe() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("no /dev/full here")
-    with pytest.raises(LogError, match="cannot write the log /dev/full"):
-        LogWriter("/dev/full", {})
-
-
 def test_a_file_cut_off_in_mid_line_gives_its_whole_rows_and_says_what_it_dropped(tmp_path: Path) -> None:
     path = tmp_path / "cut.csv"
     path.write_text(text_of([0, 1, 2, 3])[:-4])

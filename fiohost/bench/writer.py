@@ -1,7 +1,7 @@
 """Writing a log: every row goes to the operating system as soon as it is known, so that a killed host loses none.
 
-What is only known at the end (how the run ended, tick statistics) has a line of fixed width in the head, written over
-when the log is closed; in the log of a killed host that line still says ``unfinished``.
+What is only known at the end (how the run ended, tick statistics) has lines of fixed width in the head, written over
+when the log is closed; in the log of a killed host they still say ``unfinished``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fiohost.errors import LogError
 
 SCHEMA = "fiohost.log/1"
 COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
-_ENDING_CHARS = 400
+_ENDING_BYTES = 240
 _UNFINISHED = "unfinished (the host did not close this log)"
 
 
@@ -32,6 +32,9 @@ class LogWriter:
     def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
         self.path = Path(path) if path is not None else None
         self.rows = 0
+        if self.path is not None and self.path.exists() and not self.path.is_file():
+            kind = "a directory" if self.path.is_dir() else "not an ordinary file"
+            raise LogError(f"cannot write the log {path}: it is {kind}; nothing was driven")
         self._host_time = host_time
         self._file: BinaryIO
         try:
@@ -43,7 +46,7 @@ class LogWriter:
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
         self._ending_at = len("".join(head).encode())
-        head.append(_ending_line(_UNFINISHED))
+        head.append(_ending_lines(_UNFINISHED, "unknown"))
         head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
         try:
             self._write("".join(head).encode())
@@ -72,15 +75,14 @@ class LogWriter:
         self._write(line.encode() + b"\n")
         self.rows += 1
 
-    def close(self, ending: str = "complete") -> None:
+    def close(self, ending: str = "complete", statistics: str = "") -> None:
         """Say in the head how the run ended, make the file durable and close it. Twice is harmless."""
         if self._closed:
             return
         self._closed = True
         try:
-            if self._file.seekable():
-                self._file.seek(self._ending_at)
-                self._file.write(_ending_line(ending).encode())
+            self._file.seek(self._ending_at)
+            self._file.write(_ending_lines(ending, statistics or f"{self.rows} ticks").encode())
             if self.path is not None:
                 _sync(self._file)
                 self._file.close()
@@ -121,10 +123,14 @@ def _sync(file: BinaryIO) -> None:
             raise
 
 
-def _ending_line(ending: str) -> str:
-    """The line of fixed width (in bytes) that says how the run ended."""
-    text = _clean(ending, _ENDING_CHARS).encode()[:_ENDING_CHARS].decode(errors="ignore")
-    return f"# ending: {text}{' ' * (_ENDING_CHARS - len(text.encode()))}\n"
+def _ending_lines(ending: str, statistics: str) -> str:
+    """The lines of fixed width (in bytes) that say how the run ended."""
+    return _fixed(f"# ending: {ending}") + _fixed(f"# tick_statistics: {statistics}")
+
+
+def _fixed(line: str) -> str:
+    line = _clean(line, _ENDING_BYTES).encode()[:_ENDING_BYTES].decode(errors="ignore")
+    return line + " " * (_ENDING_BYTES - len(line.encode())) + "\n"
 
 
 def _clean(text: str, most: int) -> str:

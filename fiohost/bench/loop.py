@@ -1,0 +1,265 @@
+"""The bench: the tick loop between a program and a board, with a safe stop and a log.
+
+Each turn: take telemetry k, ask the program, send command k, log both. Whatever ends a run (its program, Ctrl-C, a
+signal, an exception in a controller, a bad report, silence on the line, a full disk), the board is braked first; then
+the log is closed, complete.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from fiohost import __version__
+from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
+from fiohost.bench.experiment import Experiment
+from fiohost.bench.log import Log, LogWriter
+from fiohost.bench.program import Hold, Program
+from fiohost.bench.statistics import TickStatistics
+from fiohost.bench.stop import Stopped, StopSignals
+from fiohost.bench.unwrap import Unwrapper
+from fiohost.errors import ConfigError, FiohostError, LimitError, LogError, TransportError
+from fiohost.transport.base import Transport
+from fiohost.transport.profile import TargetProfile
+from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telemetry
+
+TELEMETRY_TIMEOUT_S = 0.05
+REST_S = 0.1  # at rest: no count for this long
+SETTLE_LIMIT_S = 5.0
+COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
+
+
+class Tick(NamedTuple):
+    """One turn of the loop, for those who watch."""
+
+    time_s: float
+    command: Command
+    pos: int
+    direction: int
+    angle_deg: float  # unwrapped, POS/2
+    ref_deg: float | None
+
+
+Progress = Callable[[Tick], None]
+
+
+class Bench:
+    """One board on one line. A context manager: leaving it brakes and closes the line.
+
+    Made by :func:`fiohost.connect`. *clock* is real where the board keeps its own time or ``--realtime`` is asked.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        profile: TargetProfile,
+        *,
+        clock: Clock | None = None,
+        run_id: str | None = None,
+    ) -> None:
+        self.transport = transport
+        self.profile = profile = profile.with_counts(transport.counts_per_rev)
+        self.sample_time_s = profile.sample_time_s
+        self.counts_per_rev = profile.counts_per_rev
+        self.clock = clock or (VirtualClock() if transport.lock_step else MonotonicClock())
+        self.run_id = run_id or secrets.token_hex(8)  # of all logs of this bench; random, made from nothing
+        self._codec = profile.codec
+        self._due_s = self.clock.now_s()
+        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        transport.open()
+
+    # ---- for users ----------------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        experiment: Experiment,
+        log_path: str | Path | None = None,
+        *,
+        extra_metadata: Mapping[str, str] | None = None,
+        progress: Progress | None = None,
+        progress_every_s: float = 0.1,
+    ) -> Log:
+        """Run an experiment from rest and return its log; without *log_path* the log stays in memory.
+
+        Raises FiohostError where something failed and Stopped on a signal, in both cases after the safe stop.
+        """
+        if abs(experiment.sample_time_s - self.sample_time_s) > 1e-9:
+            raise ConfigError(
+                f"experiment {experiment.name!r} wants ticks of {1e3 * experiment.sample_time_s:g} ms, "
+                f"but the board's task runs every {1e3 * self.sample_time_s:g} ms: change sample_time_s"
+            )
+        metadata = {**experiment.describe(), **(extra_metadata or {})}
+        return self.play(experiment.program(), log_path, metadata, progress, progress_every_s)
+
+    def drive(
+        self,
+        duty_pct: float,
+        duration_s: float | None = None,
+        log_path: str | Path | None = None,
+        *,
+        standby: bool = False,
+        progress: Progress | None = None,
+        progress_every_s: float = 0.1,
+    ) -> Log:
+        """Hold one signed duty (0 brakes; *standby* coasts) for *duration_s*, or until a signal comes.
+
+        Raises LimitError for a duty beyond +-100 or NaN.
+        """
+        command = STANDBY_COMMAND if standby else Command.drive(duty_pct)
+        ticks = None if duration_s is None else max(1, round(duration_s / self.sample_time_s))
+        metadata = {"experiment": "manual", "loop": "open"}
+        return self.play(Hold(command, ticks), log_path, metadata, progress, progress_every_s)
+
+    def play(
+        self,
+        program: Program,
+        log_path: str | Path | None = None,
+        metadata: Mapping[str, str] | None = None,
+        progress: Progress | None = None,
+        progress_every_s: float = 0.1,
+    ) -> Log:
+        """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
+        writer = LogWriter(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        ending = "complete"
+        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        try:
+            with StopSignals() as stop, self._braked_after():
+                self._settle(stop)
+                every = max(1, round(progress_every_s / self.sample_time_s))
+                with stop.interruptible():
+                    self._turns(program, writer, stop, progress, every)
+            stop.check()  # a signal during the last brake is an end by signal too
+        except BaseException as exc:
+            ending = str(exc) if isinstance(exc, Stopped) else f"stopped: {type(exc).__name__}: {exc}"
+            try:
+                writer.close(ending, self.statistics.describe())
+            except LogError as failed:
+                exc.add_note(f"The log: {failed}.")
+            raise
+        writer.close(ending, self.statistics.describe())
+        return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
+
+    def settle(self) -> None:
+        """Brake until the shaft is at rest (no count for 0.1 s), at most for 5 s."""
+        with StopSignals() as stop, self._braked_after():
+            self._settle(stop)
+
+    def close(self) -> None:
+        """Brake and give the line back; harmless when done twice."""
+        try:
+            self._brake()
+        finally:
+            self.transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except TransportError:
+            if value is None:
+                raise
+
+    # ---- the loop -----------------------------------------------------------------------------------------------
+
+    def _turns(
+        self, program: Program, writer: LogWriter, stop: StopSignals, progress: Progress | None, every: int
+    ) -> None:
+        step, send, encode, row = program.step, self.transport.send, self._codec.encode, writer.row
+        unwrap = Unwrapper(self.counts_per_rev).update
+        deg = 360.0 / self.counts_per_rev
+        limit = self.profile.limit_duty_pct
+        real, begin = self.clock.real, self.clock.now_s()
+        k = 0
+        while True:
+            if stop.requested:
+                stop.check()
+            direction, pos = self._receive()
+            angle = unwrap(pos) * deg
+            answer = step(k, angle)
+            if answer is None:
+                return
+            command, ref = answer
+            if abs(command.duty_pct) > limit:
+                raise LimitError(f"a duty of {command.duty_pct:g} % is beyond this target's limit of {limit:g} %")
+            send(encode(command))
+            time_s = k * self.sample_time_s
+            host = self.clock.now_s() - begin if real else None
+            row(time_s, command.duty_pct, command.c3, command.c4, pos, direction, ref, angle, host)
+            if progress is not None and k % every == 0:
+                progress(Tick(time_s, command, pos, direction, angle, ref))
+            k += 1
+
+    def _receive(self) -> Telemetry:
+        """Telemetry of this tick. A lock-step board is paced by the clock, any other keeps its own time."""
+        if self.transport.lock_step:
+            late_s = self.clock.wait_until(self._due_s)
+            self._due_s += self.sample_time_s
+            if late_s > 1.0:  # the host slept: do not hurry through the ticks of that time
+                self._due_s = self.clock.now_s() + self.sample_time_s
+            report = self.transport.receive(TELEMETRY_TIMEOUT_S)
+        else:
+            before = self.clock.now_s()
+            report = self.transport.receive(TELEMETRY_TIMEOUT_S)
+            late_s = max(0.0, self.clock.now_s() - before - self.sample_time_s)
+        self.statistics.count(late_s)
+        return self._codec.decode(report)
+
+    def _settle(self, stop: StopSignals) -> None:
+        brake = self._codec.encode(BRAKE_COMMAND)
+        if self.transport.lock_step and self.clock.real:
+            self._due_s = self.clock.now_s()
+        quiet, last = 0, -1
+        for _ in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
+            stop.check()
+            pos = self._receive().pos
+            self.transport.send(brake)
+            quiet = quiet + 1 if pos == last else 0
+            last = pos
+            if quiet * self.sample_time_s >= REST_S:
+                break
+        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+
+    @contextmanager
+    def _braked_after(self) -> Iterator[None]:
+        """Brake on the way out, whatever happens within."""
+        try:
+            yield
+        except BaseException as exc:
+            try:
+                self._brake()
+            except FiohostError as failed:
+                exc.add_note(f"The brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING.")
+            raise
+        self._brake()
+
+    def _brake(self) -> None:
+        self.transport.send(self._codec.encode(BRAKE_COMMAND))
+        if self.transport.lock_step:  # such a board takes the command at its next step, so it needs one
+            self.transport.receive(TELEMETRY_TIMEOUT_S)
+
+    def _head(self) -> dict[str, str]:
+        """Metadata of every log of this bench."""
+        return {
+            "target": self.transport.name,
+            "serial_number": self.transport.identity,
+            "profile": self.profile.name,
+            "run_id": self.run_id,
+            "sample_time_s": f"{self.sample_time_s:.12g}",
+            "command_delay_ticks": str(COMMAND_DELAY_TICKS),
+            "counts_per_rev": str(self.counts_per_rev),
+            "full_scale": "100",
+            "full_scale_unit": "% duty",
+            "host_version": __version__,
+            "start_time": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "clock": "real" if self.clock.real else "virtual",
+            **self.transport.facts,
+        }

@@ -1,0 +1,47 @@
+"""How well the ticks were kept."""
+
+from __future__ import annotations
+
+
+class TickStatistics:
+    """Counts ticks and how late they were against their deadlines. In virtual time nothing is ever late."""
+
+    def __init__(self, sample_time_s: float, *, real: bool) -> None:
+        self.real = real
+        self.ticks = 0
+        self.late = 0  # more than half a tick after the deadline
+        self.worst_s = 0.0
+        self._sum_s = 0.0
+        self._limit_s = 0.5 * sample_time_s
+
+    def count(self, late_s: float) -> None:
+        self.ticks += 1
+        if late_s:
+            self._sum_s += late_s
+            if late_s > self.worst_s:
+                self.worst_s = late_s
+            if late_s > self._limit_s:
+                self.late += 1
+
+    @property
+    def mean_s(self) -> float:
+        """Mean lateness in seconds."""
+        return self._sum_s / self.ticks if self.ticks else 0.0
+
+    def describe(self) -> str:
+        """One line for people and for the log's head."""
+        if not self.real:
+            return f"{self.ticks} ticks in virtual time"
+        return (
+            f"{self.ticks} ticks; {self.late} late by more than half a tick; "
+            f"lateness mean {1e3 * self.mean_s:.2f} ms, worst {1e3 * self.worst_s:.2f} ms"
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "ticks": self.ticks,
+            "virtual_time": not self.real,
+            "late": self.late,
+            "mean_lateness_ms": round(1e3 * self.mean_s, 4),
+            "worst_lateness_ms": round(1e3 * self.worst_s, 4),
+        }

@@ -1,0 +1,52 @@
+"""What every medium offers to the bench: open, send, receive, close, and its errors.
+
+A transport carries whole reports as bytes and knows nothing of what they mean. Its errors are those of
+:mod:`fiohost.errors`: TelemetryTimeoutError where nothing came in time, DisconnectedError where the board went away,
+TransportError otherwise.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Self
+
+
+class Transport(ABC):
+    """One line to one board.
+
+    ``lock_step``: the board does one task step for each ``receive``, whenever that is (a simulated board); otherwise
+    it keeps its own time. ``facts`` are metadata for the log, none of which says what is in a sealed board.
+    """
+
+    name: str = ""  # the target, as people write it
+    identity: str = ""  # which board it is: serial number, or what a simulated one may say of itself
+    lock_step: bool = False
+    facts: Mapping[str, str]
+    counts_per_rev: int | None = None  # where the board is known better than by its profile
+
+    @abstractmethod
+    def open(self) -> None:
+        """Take the line. Raises TransportError, saying what holds it up and what to do."""
+
+    @abstractmethod
+    def send(self, report: bytes) -> None:
+        """Hand one report to the board. Raises TransportError, DisconnectedError."""
+
+    @abstractmethod
+    def receive(self, timeout_s: float) -> bytes:
+        """The newest report of the board. Raises TelemetryTimeoutError after *timeout_s*, DisconnectedError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the line back; harmless when it is not open."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

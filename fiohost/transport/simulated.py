@@ -1,0 +1,85 @@
+"""A simulated board in this process, in lock step: each ``receive`` is one task step of the firmware model.
+
+Only report bytes cross this line. What the board is made of stays behind it; a sealed board's facts are empty, so that
+no log of it says more than its wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from fiohost.errors import ConfigError, DisconnectedError
+from fiohost.transport.base import Transport
+
+DEFAULT_PLANT = "default"
+
+Step = Callable[[bytes | None], bytes]
+
+
+class SimulatedTransport(Transport):
+    """Wraps the step function of a board: ``step(newest report or None) -> telemetry``."""
+
+    lock_step = True
+
+    def __init__(
+        self,
+        step: Step,
+        name: str,
+        identity: str,
+        facts: Mapping[str, str] | None = None,
+        counts_per_rev: int | None = None,
+    ) -> None:
+        self.name = name
+        self.identity = identity
+        self.facts = dict(facts or {})
+        self.counts_per_rev = counts_per_rev
+        self._step = step
+        self._newest: bytes | None = None
+        self._is_open = False
+
+    def open(self) -> None:
+        self._is_open = True
+
+    def send(self, report: bytes) -> None:
+        if not self._is_open:
+            raise DisconnectedError("the line to the simulated board is closed")
+        self._newest = report
+
+    def receive(self, timeout_s: float) -> bytes:
+        if not self._is_open:
+            raise DisconnectedError("the line to the simulated board is closed")
+        newest, self._newest = self._newest, None
+        return self._step(newest)
+
+    def close(self) -> None:
+        self._is_open = False
+
+
+def plant_board(plant_name: str, seed: int | None = None) -> SimulatedTransport:
+    """A board with a plant by name or file. Raises ConfigError for a plant that is unknown or malformed."""
+    from firmware_model import Board, FirmwareModelError, load_plant
+
+    try:
+        plant = load_plant(plant_name or DEFAULT_PLANT)
+        board = Board(plant, seed=seed)
+    except FirmwareModelError as exc:
+        raise ConfigError(str(exc)) from exc
+    name = f"sim:{plant_name}" if plant_name else "sim"
+    facts = {"plant": plant.name, "supply_V": f"{plant.supply_V:g}"}
+    return SimulatedTransport(board.step, name, "simulated", facts, plant.counts_per_rev)
+
+
+def sealed_board(seed: int) -> SimulatedTransport:
+    """A board whose plant and effects are drawn by *seed* and told to nobody."""
+    from firmware_model import Board, draw
+
+    plant = draw(seed)
+    board = Board(plant, seed=seed)
+    return SimulatedTransport(board.step, "sim:sealed", "simulated, sealed", counts_per_rev=plant.counts_per_rev)
+
+
+def list_plants() -> list[dict[str, str]]:
+    """The plants that a simulated board can have: name and source of each."""
+    from firmware_model import load_plant, plant_names
+
+    return [{"name": name, "source": load_plant(name).source} for name in plant_names()]
