@@ -79,12 +79,19 @@ def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
 
 
 def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> tuple[float, float]:
-    """Initial angle and speed by least squares on the first second; speed is zero where the shaft begins at rest."""
+    """Initial angle and speed from the first second: least squares, then the middle of what the counts allow.
+
+    The speed is zero where the shaft begins at rest. A count bounds the angle on both sides, so where the model stays
+    within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate).
+    """
     data = record.y if y is None else y
     theta, omega = initial_guess(record, data)
     edges = np.array([0, record.first_second()], dtype=np.int64)
-    _, shifts, omegas = _fit(record, flat, data, edges, rest_state(theta, omega)[None, :], not record.at_rest)
-    return theta + float(shifts[0]), float(omegas[0])
+    residuals, shifts, omegas = _fit(record, flat, data, edges, rest_state(theta, omega)[None, :], not record.at_rest)
+    theta += float(shifts[0])
+    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
+        theta += 0.5 * float(residuals.max() + residuals.min())
+    return theta, float(omegas[0])
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

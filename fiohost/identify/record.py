@@ -24,8 +24,7 @@ class Record:
     """One log as evidence.
 
     ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED`` (over the
-    interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown), ``centre`` the distance
-    from a reading to the middle of its bin. ``at_rest`` says that the shaft stands still at the first sample.
+    interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown). ``at_rest`` says that the shaft stands still at the first sample.
     """
 
     name: str
@@ -34,7 +33,6 @@ class Record:
     kind: int
     unit: str
     quantum: float
-    centre: float
     sample_time_s: float
     at_rest: bool
     rotary: bool
@@ -73,7 +71,6 @@ def make_record(
     kind: int = ANGLE,
     unit: str = "deg",
     quantum: float = 0.0,
-    centre: float = 0.0,
     sample_time_s: float | None = None,
     command_delay_s: float = 0.0,
     rotary: bool = True,
@@ -106,7 +103,6 @@ def make_record(
         kind=kind,
         unit=unit,
         quantum=quantum,
-        centre=centre,
         sample_time_s=step,
         at_rest=at_rest,
         rotary=rotary,
@@ -130,7 +126,6 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         kind=kind,
         unit=log.output_unit,
         quantum=log.output_quantum,
-        centre=0.5 * log.output_quantum if kind == ANGLE else 0.0,
         sample_time_s=log.sample_time_s,
         command_delay_s=log.command_delay_ticks * log.sample_time_s,
         rotary=output in ("angle_deg", "speed_deg_s"),

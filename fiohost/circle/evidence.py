@@ -1,0 +1,82 @@
+"""From log files to a diagnosis: roles are checked before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fiohost.bench.log import Log
+from fiohost.discover.diagnose import Diagnosis, diagnose_records
+from fiohost.errors import DataError
+from fiohost.identify.record import Record, record_from_log
+from fiohost.motor.model import Model
+
+Source = str | Path | Log
+
+
+def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
+    """Read logs, or foreign tables by a map. Raises LogError, ConfigError."""
+    if table_map is None:
+        return [s if isinstance(s, Log) else Log.read(Path(s)) for s in sources]
+    from fiohost.bench.imports import TableMap, log_from_table
+
+    mapping = TableMap.load(table_map)
+    return [s if isinstance(s, Log) else log_from_table(Path(s), mapping) for s in sources]
+
+
+def check_roles(train: Sequence[Log], holdout: Sequence[Log]) -> None:
+    """Refuse a log that is there twice, above all in both roles. Raises DataError."""
+    seen: dict[str, tuple[str, Path]] = {}
+    for role, logs in (("training", train), ("held-out", holdout)):
+        for log in logs:
+            if log.sha256 in seen:
+                other_role, other = seen[log.sha256]
+                both = "is in both roles" if other_role != role else "is given twice"
+                raise DataError(
+                    f"{log.path} {both}: its contents are those of the {other_role} log {other}; give each log once"
+                )
+            seen[log.sha256] = (role, log.path)
+
+
+def unique_names(logs: Sequence[Log]) -> list[str]:
+    """File names, with as much of the folder as tells them apart."""
+    names = [log.path.name for log in logs]
+    return [str(log.path) if names.count(name) > 1 else name for log, name in zip(logs, names, strict=True)]
+
+
+def diagnose(
+    logs: Sequence[Source],
+    holdout: Sequence[Source] = (),
+    model: str | Model = "linear",
+    *,
+    table_map: str | Path | None = None,
+    library: Sequence[str] | None = None,
+    seed: int = 0,
+    say: Callable[[str], None] = lambda text: None,
+    announce: Callable[[Sequence[Log], Sequence[Log]], None] = lambda train, held: None,
+) -> Diagnosis:
+    """Name what a declared model lacks, from training logs; held-out logs only report.
+
+    ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the logs
+    and their roles before anything is fitted, ``say`` hears of progress. Raises FiohostError.
+    """
+    declared = model if isinstance(model, Model) else Model.parse(str(model))
+    train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
+    check_roles(train, held)
+    announce(train, held)
+    names = unique_names([*train, *held])
+    records: list[Record] = [record_from_log(log, name) for log, name in zip([*train, *held], names, strict=True)]
+    files = {
+        name: {"sha256": log.sha256, "path": str(log.path)}
+        for log, name in zip([*train, *held], names, strict=True)
+    }
+    return diagnose_records(
+        records[: len(train)],
+        records[len(train) :],
+        declared,
+        library=library,
+        from_file=not isinstance(model, str) or model.endswith(".toml"),
+        seed=seed,
+        say=say,
+        files=files,
+    )

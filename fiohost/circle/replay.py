@@ -1,0 +1,57 @@
+"""A saved model on a log's commands: the free run that anyone can check the figures with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fiohost import __version__
+from fiohost.bench.log import Log
+from fiohost.discover.metrics import Errors, judge
+from fiohost.errors import LogError
+from fiohost.identify.record import record_from_log
+from fiohost.motor.model import Model
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A free run: times and output (n), the initial state estimated on the first second, the figures against the log."""
+
+    time_s: np.ndarray
+    output: np.ndarray
+    output_name: str
+    unit: str
+    start: tuple[float, float]
+    errors: Errors
+
+
+def replay(log: Log, model: Model) -> Replay:
+    """Simulate a model on the commands of a log. Raises ModelError, DataError."""
+    record = record_from_log(log)
+    found = judge(record, model)
+    return Replay(log.time_s, found.simulated, log.output_name, log.output_unit, found.start, found.errors)
+
+
+def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:
+    """Write ``time_s`` and the output column, the initial state in the header. Raises LogError."""
+    head = {
+        "schema": "fiohost.simulation/1",
+        "fiohost_version": __version__,
+        "log": log.path.name,
+        "log_sha256": log.sha256,
+        "model": model_name,
+        f"initial_{result.output_name}": repr(result.start[0]),
+        "initial_speed": repr(result.start[1]),
+        "initial_state": "least squares on the first second of the log",
+        "free_run_rms": f"{result.errors.free_run_rms:.6g} {result.unit}",
+    }
+    lines = [f"# {key}: {value}" for key, value in head.items()]
+    lines.append(f"time_s,{result.output_name}")
+    try:
+        with path.open("w", encoding="utf-8", newline="\n") as handle:
+            handle.write("\n".join(lines) + "\n")
+            np.savetxt(handle, np.column_stack((result.time_s, result.output)), fmt=("%.9g", "%.12g"), delimiter=",")
+    except OSError as exc:
+        raise LogError(f"cannot write {path}: {exc.strerror}") from exc

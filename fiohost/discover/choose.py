@@ -1,0 +1,153 @@
+"""Choosing among candidates: refits from several starts, cross-validation over the training records, ambiguity.
+
+Cross-validation leaves out whole experiments (repeats of one experiment together), fits the rest and looks at the free run
+of what was left out. Held-out records never come here.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from fiohost.discover.floor import repeats
+from fiohost.discover.screen import Score
+from fiohost.identify.fit import Fit, fit, unchanged
+from fiohost.identify.intervals import estimates
+from fiohost.identify.record import Record, make_record
+from fiohost.motor.model import Model
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+STARTS = 3
+CLOSE = 1.03
+SIGMAS_FROM_NEUTRAL = 3.0
+LEAST_CV_GAIN = 0.01
+BLOCK_S = 2.0
+
+
+def slices(record: Record, pieces: int) -> list[Record]:
+    """A record cut into consecutive pieces, each with an initial state of its own."""
+    edges = np.linspace(0, len(record), pieces + 1).astype(int)
+    ex = record.excitation
+    delay = float(ex.act_times_s[0] - ex.times_s[0])
+    found = []
+    for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        piece = make_record(
+            f"{record.name} [{i + 1}/{pieces}]",
+            ex.times_s[a:b],
+            ex.duties_pct[1:][a:b],
+            record.y[a:b],
+            mode=ex.modes[1:][a:b],
+            kind=record.kind,
+            unit=record.unit,
+            quantum=record.quantum,
+            sample_time_s=record.sample_time_s,
+            command_delay_s=delay,
+            rotary=record.rotary,
+        )
+        if a > 0:
+            duties = piece.excitation.duties_pct.copy()
+            modes = piece.excitation.modes.copy()
+            duties[0], modes[0] = ex.duties_pct[a], ex.modes[a]
+            piece = replace(piece, at_rest=False, excitation=replace(piece.excitation, duties_pct=duties, modes=modes))
+        found.append(piece)
+    return found
+
+
+def folds(records: Sequence[Record], most: int = 6) -> tuple[list[Record], list[list[int]]]:
+    """The records to cross-validate over and the groups to leave out in turn; few records are cut into pieces in time."""
+    groups: list[list[int]] = []
+    grouped = {i for g in repeats(records) for i in g}
+    groups.extend(repeats(records))
+    groups.extend([i] for i in range(len(records)) if i not in grouped)
+    if len(groups) < 3:
+        pieces = [p for r in records for p in slices(r, max(2, min(4, int(r.seconds // 4))))]
+        return pieces, [[i] for i in range(len(pieces))][:12]
+    while len(groups) > most:
+        groups.sort(key=lambda g: sum(len(records[i]) for i in g))
+        groups = [groups[0] + groups[1], *groups[2:]]
+    return list(records), groups
+
+
+@dataclass(frozen=True)
+class Validated:
+    """A fitted model and how it did on what it had not seen: squared errors (blocks) of every left-out record."""
+
+    fit: Fit
+    blocks: np.ndarray
+    fold_costs: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        return float(self.blocks.sum())
+
+
+def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequence[int]]) -> Validated:
+    """Cross-validate the structure of a fitted model, starting every fold from its values."""
+    blocks: list[float] = []
+    costs: list[float] = []
+    for group in groups:
+        rest = [r for i, r in enumerate(cv_records) if i not in group]
+        out = [cv_records[i] for i in group]
+        part = fit(fitted.model, rest, max_iterations=8, tolerance=1e-4)
+        seen = unchanged(part.model, out)
+        for record, residual in zip(out, seen.residuals, strict=True):
+            size = max(1, round(BLOCK_S / record.sample_time_s))
+            blocks.extend(float(residual[a : a + size] @ residual[a : a + size]) for a in range(0, len(residual), size))
+        costs.append(seen.cost)
+    return Validated(fitted, np.array(blocks), np.array(costs))
+
+
+def refit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
+    """The base model with one effect added, fitted from the best few of its trials; the best of them is fitted fully."""
+    name = score.effect.name
+    starts: list[Model] = []
+    for trial in score.trials[:STARTS]:
+        starts.append(base.model.with_effect(name, trial))
+    rough = [fit(m, records, starts=base.starts, max_iterations=6, tolerance=1e-3) for m in starts]
+    best = min(rough, key=lambda f: f.cost)
+    return fit(best.model, records, starts=best.starts, max_iterations=25, tolerance=1e-6)
+
+
+def each(run: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """``[run(x) for x in items]`` on all cores; the kernels run without the interpreter's lock."""
+    workers = min(len(items), os.cpu_count() or 1)
+    if workers < 2:
+        return [run(x) for x in items]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(run, items))
+
+
+def objection(found: Fit, name: str) -> str | None:
+    """Why a fitted effect cannot be believed by its parameters alone, or None."""
+    known = estimates(found)
+    for parameter in found.model.parts()[-1].parameters:
+        key = f"{name}.{parameter.name}"
+        if parameter.is_choice or parameter.neutral is None or key not in known:
+            continue
+        value = known[key]
+        if abs(value.value - parameter.neutral) < 1e-9:
+            return f"{parameter.name} went to {parameter.neutral:g}, where the effect vanishes"
+        if value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - parameter.neutral):
+            return f"{parameter.name} is not distinct from {parameter.neutral:g}, where the effect vanishes"
+        if value.at_bound:
+            return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
+    return None
+
+
+def indistinguishable(best: Validated, rival: Validated, base_cost: float) -> bool:
+    """Whether a rival does as well as the best on left-out data, within what the data can tell."""
+    if rival.cost <= best.cost * CLOSE**2:
+        return True
+    gain, rival_gain = base_cost - best.cost, base_cost - rival.cost
+    if rival_gain < 0.8 * gain:
+        return False
+    difference = rival.blocks - best.blocks
+    error = float(difference.std(ddof=1)) * np.sqrt(len(difference))
+    return bool(difference.sum() < 2.0 * error)

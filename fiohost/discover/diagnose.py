@@ -1,0 +1,283 @@
+"""The diagnosis: fit what is declared, judge it, and add what it lacks until nothing more is earned.
+
+    fit -> judge against the floor -> evidence -> screen -> refit -> cross-validate -> add, delete, swap -> judge again
+
+Training records decide everything. Held-out records are judged once, at the end, by the models that were chosen.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, refit, validate
+from fiohost.discover.evidence import Dependence, dependences
+from fiohost.discover.floor import Floor, floors, replica
+from fiohost.discover.metrics import Errors, Judgement, judge, pool
+from fiohost.discover.screen import Screen, candidates, chance_share
+from fiohost.discover.verdict import Excess, at_floor, excesses
+from fiohost.errors import DataError
+from fiohost.identify.fit import Fit, fit, fit_from_scratch
+from fiohost.identify.intervals import Estimate, estimates
+from fiohost.identify.record import Record
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
+
+MOST_EFFECTS = 4
+REFITTED = 10
+LEAST_CV_GAIN = 0.01
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """How one effect did in one round: the share of the residual's power it removed, and why it was not taken."""
+
+    effect: str
+    score: float
+    rejected_because: str | None
+    validated: Validated | None = None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A fitted model with its judgements on the training records."""
+
+    fit: Fit
+    judgements: tuple[Judgement, ...]
+    floors: tuple[Floor, ...]
+    excesses: tuple[Excess, ...]
+
+    @property
+    def at_floor(self) -> bool:
+        return at_floor(self.excesses)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect that was added, what spoke for it, and the names it cannot be told from."""
+
+    effect: str
+    stage: Stage
+    evidence: dict[str, object]
+    indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found; ``to_json`` gives schema ``fiohost.diagnosis/1``."""
+
+    declared: Stage
+    steps: tuple[Step, ...]
+    candidates: tuple[Candidate, ...]
+    residual: tuple[Dependence, ...]
+    train: tuple[Record, ...]
+    holdout: tuple[Record, ...]
+    before_holdout: tuple[Judgement, ...]
+    after_holdout: tuple[Judgement, ...]
+    step_holdout: tuple[tuple[Judgement, ...], ...]
+    floor_holdout: tuple[Floor, ...]
+    seconds: float
+    files: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @property
+    def final(self) -> Stage:
+        return self.steps[-1].stage if self.steps else self.declared
+
+    @property
+    def verdict(self) -> str:
+        if not self.final.at_floor:
+            return "unexplained"
+        return "explained" if self.steps else "no_missing_effect"
+
+
+def _stage(fitted: Fit, records: Sequence[Record], rng: np.random.Generator) -> Stage:
+    judgements = each(lambda r: judge(r, fitted.model), records)
+    found = floors(records, fitted.model, judgements, rng)
+    names = [r.name for r in records]
+    return Stage(fitted, tuple(judgements), tuple(found), tuple(excesses(names, judgements, found)))
+
+
+class _Search:
+    """One diagnosis in progress over the training records."""
+
+    def __init__(
+        self, records: Sequence[Record], rng: np.random.Generator, library: Sequence[str] | None, say: Progress
+    ) -> None:
+        self.records = records
+        self.rng = rng
+        self.library = library
+        self.say = say
+        self.cv_records, self.groups = folds(records)
+
+    def validate(self, fitted: Fit) -> Validated:
+        return validate(fitted, self.cv_records, self.groups)
+
+    def _chance(self, screen: Screen, scores: list) -> float:  # type: ignore[type-arg]
+        def draw(rng: np.random.Generator) -> list[np.ndarray]:
+            model = screen.fit.model
+            made = [
+                replica(r, model, s, rng) - (r.y - e)
+                for r, s, e in zip(self.records, screen.fit.starts, screen.fit.residuals, strict=True)
+            ]
+            return made
+
+        sensors = all(r.quantum > 0 for r in self.records)
+        return chance_share(screen, scores, draw if sensors else None, self.rng)
+
+    def round(self, stage: Stage) -> tuple[list[Candidate], Candidate | None, dict[str, object]]:
+        """Score, refit and cross-validate every candidate around one stage; the winner, if one is earned."""
+        screen = Screen(stage.fit, self.records)
+        offered = candidates(stage.fit.model, self.records, self.library)
+        self.say(f"scoring {len(offered)} effects against the residual of {stage.fit.model.expression}")
+        scores = sorted(each(screen.score, offered), key=lambda s: s.share, reverse=True)
+        if not scores:
+            return [], None, {}
+        chance = self._chance(screen, scores)
+        self.say(f"refitting the best {min(REFITTED, len(scores))}")
+        refits = each(lambda s: refit(stage.fit, s, self.records), scores[:REFITTED])
+        shares = [1.0 - f.cost / stage.fit.cost for f in refits]
+        base = self.validate(stage.fit)
+        rejected: list[str | None] = []
+        for score, found, share in zip(scores, refits, shares, strict=False):
+            why = objection(found, score.effect.name)
+            if share <= chance:
+                why = f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
+            rejected.append(why)
+        passed = [i for i, why in enumerate(rejected) if why is None]
+        self.say(f"cross-validating {len(passed)} of them")
+        checked = dict(zip(passed, each(lambda i: self.validate(refits[i]), passed), strict=True))
+        found_all: list[Candidate] = []
+        for i, (score, share) in enumerate(zip(scores, shares, strict=False)):
+            why = rejected[i]
+            validated = checked.get(i)
+            if validated is not None:
+                gain = 1.0 - validated.cost / base.cost
+                better = float(np.mean(validated.fold_costs < base.fold_costs))
+                if gain < LEAST_CV_GAIN or better <= 0.5:
+                    why = f"changes the error on left-out training records by {-100 * gain:+.1f} % only"
+                    validated = None
+            found_all.append(Candidate(score.effect.name, share, why, validated))
+        found_all += [
+            Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
+            for s in scores[REFITTED:]
+        ]
+        able = [c for c in found_all if c.validated is not None]
+        if not able:
+            return found_all, None, {}
+        winner = self._winner(able, base)
+        evidence: dict[str, object] = {
+            "residual_power_removed": winner.score,
+            "by_chance": chance,
+            "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost)) if winner.validated else None,
+        }
+        return found_all, winner, evidence | {"base_cost": base.cost}
+
+    @staticmethod
+    def _winner(able: Sequence[Candidate], base: Validated) -> Candidate:
+        """The lowest cross-validated error; among those as good within what the data can tell, the simplest."""
+        best = min(able, key=lambda c: c.validated.cost)  # type: ignore[union-attr]
+        assert best.validated is not None
+        close = [
+            c
+            for c in able
+            if c.validated is not None
+            and c.validated.cost <= best.validated.cost * 1.005
+            and indistinguishable(best.validated, c.validated, base.cost)
+        ]
+        return min(close, key=lambda c: (len(effect(c.effect).parameters), c.validated.cost if c.validated else 0.0))
+
+    def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
+        """Names that this data cannot tell from the winner: exact equivalents always, and near ones by validation."""
+        assert winner.validated is not None
+        names = list(effect(winner.effect).equivalents)
+        for other in able:
+            if other.effect == winner.effect or other.validated is None:
+                continue
+            if indistinguishable(winner.validated, other.validated, base_cost):
+                names.append(other.effect)
+                names.extend(effect(other.effect).equivalents)
+        return tuple(dict.fromkeys(n for n in names if n != winner.effect))
+
+    def prune(self, fitted: Fit, declared: Model) -> Fit:
+        """Delete every added effect that left-out records do not miss once the others are there."""
+        for name in [e for e in fitted.model.effects[:-1] if e not in declared.effects]:
+            smaller = fit(fitted.model.without([name]), self.records, starts=fitted.starts)
+            whole, less = self.validate(fitted), self.validate(smaller)
+            if less.cost <= whole.cost * (1.0 + 0.5 * LEAST_CV_GAIN):
+                self.say(f"{name} is no longer needed")
+                fitted = smaller
+        return fitted
+
+
+def diagnose_records(
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    model: Model,
+    *,
+    library: Sequence[str] | None = None,
+    from_file: bool = False,
+    seed: int = 0,
+    say: Progress = lambda text: None,
+    files: dict[str, dict[str, str]] | None = None,
+) -> Diagnosis:
+    """Diagnose a declared model on training records; held-out records report only.
+
+    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress. Raises DataError if the
+    records do not share one output or there are none.
+    """
+    if not train:
+        raise DataError("there is no log to fit")
+    units = {r.unit for r in (*train, *holdout)}
+    if len(units) > 1:
+        raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
+    began = time.monotonic()
+    rng = np.random.default_rng(seed)
+    search = _Search(train, rng, library, say)
+    say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
+    declared = _stage(fit_from_scratch(model, train, keep_start=from_file), train, rng)
+    stage, steps = declared, []
+    offered: list[Candidate] = []
+    while not stage.at_floor and len(steps) < MOST_EFFECTS:
+        follows = dependences(train, stage.fit.model, stage.judgements, rng)
+        offered, winner, evidence = search.round(stage)
+        if winner is None or winner.validated is None:
+            break
+        able = [c for c in offered if c.validated is not None]
+        base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
+        names = search.rivals(winner, able, base_cost)
+        say(f"adding {winner.effect}")
+        fitted = search.prune(winner.validated.fit, model)
+        stage = _stage(fitted, train, rng)
+        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
+        steps = [s for s in steps if s.effect in fitted.model.effects]
+        steps.append(Step(winner.effect, stage, evidence, names))
+    say("judging held-out logs") if holdout else None
+    final = stage.fit.model
+    after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
+    return Diagnosis(
+        declared=declared,
+        steps=tuple(steps),
+        candidates=tuple(offered),
+        residual=tuple(dependences(train, final, stage.judgements, rng)),
+        train=tuple(train),
+        holdout=tuple(holdout),
+        before_holdout=tuple(each(lambda r: judge(r, declared.fit.model), holdout)) if holdout else (),
+        after_holdout=after,
+        step_holdout=tuple(tuple(judge(r, s.stage.fit.model) for r in holdout) for s in steps),
+        floor_holdout=tuple(floors(holdout, final, after, rng)) if holdout else (),
+        seconds=time.monotonic() - began,
+        files=files or {},
+    )
+
+
+def pooled(judgements: Sequence[Judgement]) -> Errors | None:
+    return pool([j.errors for j in judgements])
+
+
+def parameters(stage: Stage) -> dict[str, Estimate]:
+    return estimates(stage.fit)

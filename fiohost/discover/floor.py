@@ -1,0 +1,105 @@
+"""How small the residual could be: replicas of the fitted model through the same sensor, and scatter between repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
+from fiohost.identify.predict import Flat, free_output
+from fiohost.identify.record import ANGLE, Record
+from fiohost.motor.model import Model
+
+REPLICAS = 24
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Floor figures of one record: their mean over replicas, or the scatter between repeats where that is larger.
+
+    ``draws`` holds the replicas' figures, from which thresholds are taken.
+    """
+
+    errors: Errors
+    source: str
+    draws: tuple[Errors, ...]
+
+
+def replica(record: Record, model: Model, start: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+    """One draw (n) of what the sensor would have read had the model been true: the angle within its count is unknown."""
+    flat = Flat.of(model)
+    theta, omega = start
+    shift = rng.uniform(-0.5, 0.5) * record.quantum if record.kind == ANGLE else 0.0
+    truth = free_output(record, flat, theta + shift, omega)
+    if record.kind == ANGLE:
+        return quantise(record, truth + 0.5 * record.quantum)
+    return quantise(record, truth)
+
+
+def _mean(draws: Sequence[Errors]) -> Errors:
+    pooled = pool(draws)
+    assert pooled is not None
+    return replace(pooled, samples=draws[0].samples)
+
+
+def replica_floor(
+    record: Record, model: Model, start: tuple[float, float], rng: np.random.Generator, count: int = REPLICAS
+) -> Floor:
+    """Floor of a record by ``count`` replicas of the model, each judged like the record itself."""
+    draws = tuple(judge(record, model, replica(record, model, start, rng)).errors for _ in range(count))
+    return Floor(_mean(draws), "replicas", draws)
+
+
+def repeats(records: Sequence[Record]) -> list[list[int]]:
+    """Groups (two or more indices) of records whose commands are identical."""
+    groups: dict[bytes, list[int]] = {}
+    for i, record in enumerate(records):
+        ex = record.excitation
+        key = ex.duties_pct.tobytes() + ex.modes.tobytes() + np.round(ex.times_s, 6).tobytes()
+        groups.setdefault(key, []).append(i)
+    return [g for g in groups.values() if len(g) > 1]
+
+
+def _detrended(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Values (n) with offset and slope taken out of every window, as free angle and speed would."""
+    out = np.empty_like(values)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        x = np.linspace(-1.0, 1.0, b - a) if b - a > 1 else np.zeros(1)
+        piece = values[a:b] - values[a:b].mean()
+        norm = float(x @ x)
+        out[a:b] = piece - (float(x @ piece) / norm if norm > 0 else 0.0) * x
+    return out
+
+
+def scatter(records: Sequence[Record], group: Sequence[int]) -> tuple[float, float]:
+    """Free-run and window rms of the scatter between repeats of one experiment, in the output's unit."""
+    runs = np.array([records[i].y - records[i].y[0] for i in group])
+    correction = np.sqrt(len(group) / (len(group) - 1.0))
+    deviations = (runs - runs.mean(axis=0)) * correction
+    free = deviations - deviations.mean(axis=1, keepdims=True)
+    edges = records[group[0]].windows
+    windows = np.array([_detrended(d, edges) for d in deviations])
+    return float(np.sqrt(np.mean(free**2))), float(np.sqrt(np.mean(windows**2)))
+
+
+def floors(
+    records: Sequence[Record],
+    model: Model,
+    judgements: Sequence[Judgement],
+    rng: np.random.Generator,
+    count: int = REPLICAS,
+) -> list[Floor]:
+    """Floors of all records; where an experiment was repeated, its scatter counts where it is the larger."""
+    found = [replica_floor(r, model, j.start, rng, count) for r, j in zip(records, judgements, strict=True)]
+    for group in repeats(records):
+        free, windows = scatter(records, group)
+        for i in group:
+            was = found[i].errors
+            if windows > 1.1 * was.window_rms or free > 1.1 * was.free_run_rms:
+                larger = replace(
+                    was, free_run_rms=max(free, was.free_run_rms), window_rms=max(windows, was.window_rms)
+                )
+                found[i] = Floor(larger, "repeats", found[i].draws)
+    return found

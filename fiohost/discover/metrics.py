@@ -1,0 +1,98 @@
+"""The figures by which a model is judged on a record, as defined in the diagnosis schema."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.identify.predict import Flat, free_states, initial_state, read, window_residuals
+from fiohost.identify.record import ANGLE, Record
+from fiohost.motor.model import Model
+
+
+@dataclass(frozen=True)
+class Errors:
+    """``E`` of the diagnosis: rms in the output's unit, shares in percent."""
+
+    free_run_rms: float
+    window_rms: float
+    bin_violation_pct: float | None
+    fit_pct: float | None
+    samples: int
+
+    def to_json(self) -> dict[str, float | int | None]:
+        return {
+            "free_run_rms": self.free_run_rms,
+            "window_rms": self.window_rms,
+            "bin_violation_pct": self.bin_violation_pct,
+            "fit_pct": self.fit_pct,
+            "samples": self.samples,
+        }
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A model on one record: the figures and what they were computed from, each array (n)."""
+
+    errors: Errors
+    start: tuple[float, float]
+    simulated: np.ndarray
+    free_residual: np.ndarray
+    window_residual: np.ndarray
+
+
+def _figures(y: np.ndarray, free: np.ndarray, windows: np.ndarray, quantum: float) -> Errors:
+    spread = float(np.linalg.norm(y - y.mean()))
+    return Errors(
+        free_run_rms=float(np.sqrt(np.mean(free**2))),
+        window_rms=float(np.sqrt(np.mean(windows**2))),
+        bin_violation_pct=float(100.0 * np.mean(np.abs(free) > 0.5 * quantum)) if quantum > 0 else None,
+        fit_pct=100.0 * (1.0 - float(np.linalg.norm(free)) / spread) if spread > 0 else None,
+        samples=len(y),
+    )
+
+
+def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgement:
+    """Judge a model on a record, or on other measurements ``y`` (n) of the same commands."""
+    data = record.y if y is None else y
+    flat = Flat.of(model)
+    start = initial_state(record, flat, data)
+    states = free_states(record, flat, *start)
+    simulated = read(record, flat, states)
+    free = data - simulated
+    windows = window_residuals(record, flat, states, data)
+    return Judgement(_figures(data, free, windows, record.quantum), start, simulated, free, windows)
+
+
+def pool(parts: Sequence[Errors]) -> Errors | None:
+    """The figures of several records together: squares and shares weighted by samples; None of none."""
+    if not parts:
+        return None
+    weights = np.array([e.samples for e in parts], dtype=float)
+    total = float(weights.sum())
+
+    def rms(values: list[float]) -> float:
+        return float(np.sqrt(np.sum(weights * np.square(values)) / total))
+
+    def share(values: list[float | None]) -> float | None:
+        known = [(w, v) for w, v in zip(weights, values, strict=True) if v is not None]
+        return float(sum(w * v for w, v in known) / sum(w for w, _ in known)) if known else None
+
+    return Errors(
+        free_run_rms=rms([e.free_run_rms for e in parts]),
+        window_rms=rms([e.window_rms for e in parts]),
+        bin_violation_pct=share([e.bin_violation_pct for e in parts]),
+        fit_pct=share([e.fit_pct for e in parts]),
+        samples=int(total),
+    )
+
+
+def quantise(record: Record, y: np.ndarray) -> np.ndarray:
+    """The sensor's reading (n) of a true output: floor for counts of an angle, rounding for a speed."""
+    if record.quantum <= 0:
+        return y
+    if record.kind == ANGLE:
+        return np.asarray(np.floor(y / record.quantum) * record.quantum)
+    return np.asarray(np.round(y / record.quantum) * record.quantum)

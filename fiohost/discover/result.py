@@ -1,0 +1,109 @@
+"""The diagnosis as JSON, schema ``fiohost.diagnosis/1``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fiohost import __version__
+from fiohost.discover.diagnose import Diagnosis, Stage, parameters, pooled
+from fiohost.discover.floor import REPLICAS
+from fiohost.discover.metrics import Errors, pool
+
+
+def _errors(errors: Errors | None) -> dict[str, Any] | None:
+    return errors.to_json() if errors else None
+
+
+def _parameters(stage: Stage, only: str | None = None) -> dict[str, Any]:
+    known = parameters(stage)
+    found: dict[str, Any] = {}
+    for name, value in stage.fit.model.values.items():
+        group, _, short = name.partition(".")
+        if only is not None and group != only:
+            continue
+        key = short if only else name
+        if isinstance(value, str):
+            found[key] = {"value": value, "unit": "", "ci95": None, "identifiable": True, "at_bound": False}
+        else:
+            found[key] = known[name].to_json()
+    return found
+
+
+def _clean(value: Any) -> Any:
+    """Plain JSON: no NaN or infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {k: _clean(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_clean(v) for v in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def to_json(found: Diagnosis) -> dict[str, Any]:
+    """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``."""
+    declared, final = found.declared, found.final
+    logs = []
+    for role, records, before, after, floor in (
+        ("train", found.train, declared.judgements, final.judgements, final.floors),
+        ("holdout", found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout),
+    ):
+        for record, b, a, f in zip(records, before, after, floor, strict=True):
+            logs.append(
+                {
+                    "file": record.name,
+                    **found.files.get(record.name, {}),
+                    "role": role,
+                    "before": b.errors.to_json(),
+                    "after": a.errors.to_json(),
+                    "floor": f.errors.to_json(),
+                    "initial": {"angle": a.start[0], "speed": a.start[1]},
+                }
+            )
+    sources = {f.source for f in (*final.floors, *found.floor_holdout)}
+    exceeded = [e for e in final.excesses if e.exceeded]
+    result = {
+        "schema": "fiohost.diagnosis/1",
+        "fiohost_version": __version__,
+        "seconds": found.seconds,
+        "output_unit": found.train[0].unit,
+        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
+        "verdict": found.verdict,
+        "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
+        "steps": [
+            {
+                "effect": step.effect,
+                "parameters": _parameters(step.stage, step.effect),
+                "evidence": step.evidence,
+                "after": {"train": _errors(pooled(step.stage.judgements)), "holdout": _errors(pooled(held))},
+                "indistinguishable_from": list(step.indistinguishable_from),
+            }
+            for step, held in zip(found.steps, found.step_holdout, strict=True)
+        ],
+        "after": {"train": _errors(pooled(final.judgements)), "holdout": _errors(pooled(found.after_holdout))},
+        "final": {"model": final.fit.model.expression, "parameters": _parameters(final)},
+        "floor": {
+            "train": _errors(pool([f.errors for f in final.floors])),
+            "holdout": _errors(pool([f.errors for f in found.floor_holdout])),
+            "from": "repeats" if "repeats" in sources else "replicas",
+            "replicas": REPLICAS,
+        },
+        "logs": logs,
+        "candidates": [
+            {"effect": c.effect, "score": c.score, "rejected_because": c.rejected_because}
+            for c in sorted(found.candidates, key=lambda c: c.score, reverse=True)
+        ],
+        "residual": {
+            "white": final.at_floor,
+            "depends_on": [d.variable for d in found.residual if d.significant] if not final.at_floor else [],
+            "tests": {
+                **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},
+                "above_floor": [
+                    {"log": e.record, "figure": e.figure, "value": e.value, "limit": e.limit} for e in exceeded
+                ],
+            },
+        },
+        "next_experiment": None,
+    }
+    return _clean(result)  # type: ignore[no-any-return]

@@ -1,0 +1,316 @@
+"""Simulation-error fit: Levenberg-Marquardt over all records at once, initial states eliminated record by record.
+
+Two costs share one solver. ``windows`` compares one-second windows whose angle and speed are free: nearly convex, used to
+come close. ``free`` compares whole free runs with each record's initial angle and speed free: an order of magnitude
+sharper, used to finish. Neither ever differentiates the counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiohost.errors import DataError
+from fiohost.identify.predict import Flat, free_output, free_states, initial_guess, initial_state, window_residuals
+from fiohost.identify.record import ANGLE, Record
+from fiohost.motor.kernel import GAIN
+from fiohost.motor.model import Model, slot
+
+MAX_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model with what is needed to judge it.
+
+    ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)): measured minus simulated, and the
+    derivative of the simulation by each free parameter with the initial state projected out. ``nuisances`` are the
+    derivatives by the initial state, ``starts`` the records' initial angles and speeds.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    cost: float
+    residuals: tuple[np.ndarray, ...]
+    jacobians: tuple[np.ndarray, ...]
+    nuisances: tuple[np.ndarray, ...]
+    starts: tuple[tuple[float, float], ...]
+    converged: bool
+
+    @property
+    def samples(self) -> int:
+        return sum(len(r) for r in self.residuals)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.cost / max(self.samples, 1)))
+
+
+@dataclass
+class _Point:
+    """Parameter values and initial states at which the simulation stands."""
+
+    p: np.ndarray
+    starts: list[tuple[float, float]]
+
+
+def _start_columns(record: Record, flat: Flat, start: tuple[float, float], y: np.ndarray) -> np.ndarray:
+    """Derivatives (n, 0..2) of the output by the initial angle and speed, where these are free."""
+    columns: list[np.ndarray] = []
+    if record.kind == ANGLE:
+        if flat.bends:
+            step = 1e-6 * 100.0 * abs(float(flat.p[GAIN]))
+            columns.append((free_output(record, flat, start[0] + step, start[1]) - y) / step)
+        else:
+            columns.append(np.ones_like(y))
+    if not record.at_rest:
+        step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
+        columns.append((free_output(record, flat, start[0], start[1] + step) - y) / step)
+    return np.column_stack(columns) if columns else np.empty((len(y), 0))
+
+
+class _Problem:
+    """The residuals of a set of records under one model structure, by parameters of the model."""
+
+    def __init__(self, model: Model, records: Sequence[Record], windows: bool) -> None:
+        self.model = model
+        self.records = records
+        self.windows = windows
+        self.names = tuple(model.free())
+        self.slots = np.array([slot(n) for n in self.names], dtype=np.int64)
+        parameters = [model.parameter(n) for n in self.names]
+        self.lower = np.array([q.lower for q in parameters])
+        self.upper = np.array([q.upper for q in parameters])
+        self.steps = np.array([q.step for q in parameters])
+        self.relative = np.array([q.relative_step for q in parameters])
+
+    def flat(self, p: np.ndarray) -> Flat:
+        return Flat.of(self.model, p)
+
+    def residual(self, record: Record, point: _Point, index: int, p: np.ndarray) -> np.ndarray:
+        flat = self.flat(p)
+        theta, omega = point.starts[index]
+        if self.windows:
+            return window_residuals(record, flat, free_states(record, flat, theta, omega))
+        return record.y - free_output(record, flat, theta, omega)
+
+    def residuals(self, point: _Point) -> list[np.ndarray]:
+        return [self.residual(r, point, i, point.p) for i, r in enumerate(self.records)]
+
+    def columns(self, record: Record, point: _Point, index: int, residual: np.ndarray) -> np.ndarray:
+        """Derivative (n, parameters) of the simulation, one finite difference each, turned inward at a bound."""
+        values = point.p[self.slots]
+        out = np.empty((len(residual), len(self.slots)))
+        for j, where in enumerate(self.slots):
+            step = self.steps[j] * (max(abs(values[j]), 1e-9) if self.relative[j] else 1.0)
+            if values[j] + step > self.upper[j]:
+                step = -step
+            p = point.p.copy()
+            p[where] += step
+            out[:, j] = (residual - self.residual(record, point, index, p)) / step
+        return out
+
+    def linearise(self, point: _Point, residuals: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Columns by parameter with the initial states projected out, and the columns of the initial states."""
+        jacobians, nuisances = [], []
+        flat = self.flat(point.p)
+        for i, record in enumerate(self.records):
+            columns = self.columns(record, point, i, residuals[i])
+            if self.windows:
+                nuisance = np.empty((len(residuals[i]), 0))
+            else:
+                nuisance = _start_columns(record, flat, point.starts[i], record.y - residuals[i])
+            jacobians.append(columns)
+            nuisances.append(nuisance)
+        return jacobians, nuisances
+
+
+def _sum_of_squares(residuals: Sequence[np.ndarray]) -> float:
+    return float(sum(float(r @ r) for r in residuals))
+
+
+def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+    """Columns (n, k) with their part along the nuisance columns (n, q) taken out."""
+    if nuisance.shape[1] == 0:
+        return columns
+    coefficients, *_ = np.linalg.lstsq(nuisance, columns, rcond=1e-10)
+    return np.asarray(columns - nuisance @ coefficients)
+
+
+def _solve(
+    problem: _Problem, point: _Point, max_iterations: int, tolerance: float
+) -> tuple[_Point, list[np.ndarray], list[np.ndarray], list[np.ndarray], float, bool]:
+    residuals = problem.residuals(point)
+    cost = _sum_of_squares(residuals)
+    damping = 1e-4
+    converged = False
+    jacobians, nuisances = problem.linearise(point, residuals)
+    for _ in range(max_iterations):
+        gradient = np.zeros(len(problem.slots))
+        hessian = np.zeros((len(problem.slots),) * 2)
+        parts = []
+        for residual, columns, nuisance in zip(residuals, jacobians, nuisances, strict=True):
+            inner = nuisance.T @ nuisance
+            inner += 1e-12 * np.trace(inner) * np.eye(len(inner)) if len(inner) else 0.0
+            cross = nuisance.T @ columns
+            pull = nuisance.T @ residual
+            eliminate = np.linalg.solve(inner, np.column_stack((cross, pull))) if len(inner) else np.empty((0, 0))
+            gradient += columns.T @ residual
+            hessian += columns.T @ columns
+            if len(inner):
+                gradient -= cross.T @ eliminate[:, -1]
+                hessian -= cross.T @ eliminate[:, :-1]
+            parts.append(eliminate)
+        values = point.p[problem.slots]
+        blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
+        active = ~blocked & (np.diag(hessian) > 1e-20 * max(cost, 1e-20))
+        improved = False
+        for _ in range(8):
+            step = np.zeros(len(values))
+            if active.any():
+                diagonal = np.diag(hessian)[active]
+                scale = np.sqrt(diagonal)
+                scaled = hessian[np.ix_(active, active)] / np.outer(scale, scale) + damping * np.eye(int(active.sum()))
+                try:
+                    step[active] = np.linalg.solve(scaled, gradient[active] / scale) / scale
+                except np.linalg.LinAlgError:
+                    damping = max(damping, 1e-6) * 10.0
+                    continue
+            moved = np.clip(values + step, problem.lower, problem.upper)
+            step = moved - values
+            trial = _Point(point.p.copy(), list(point.starts))
+            trial.p[problem.slots] = moved
+            for i, (record, part) in enumerate(zip(problem.records, parts, strict=True)):
+                if part.size == 0:
+                    continue
+                shift = part[:, -1] - part[:, :-1] @ step
+                theta, omega = trial.starts[i]
+                if record.kind == ANGLE:
+                    theta += float(shift[0])
+                if not record.at_rest:
+                    omega += float(shift[-1])
+                trial.starts[i] = (theta, omega)
+            new_residuals = problem.residuals(trial)
+            new_cost = _sum_of_squares(new_residuals)
+            if np.isfinite(new_cost) and new_cost <= cost:
+                improved = True
+                break
+            damping = max(damping, 1e-6) * 8.0
+        if not improved:
+            converged = True
+            break
+        gain = cost - new_cost
+        point, residuals, cost = trial, new_residuals, new_cost
+        damping = max(damping * 0.15, 1e-9)
+        jacobians, nuisances = problem.linearise(point, residuals)
+        if gain <= tolerance * cost or cost < 1e-18:
+            converged = True
+            break
+    projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
+    return point, residuals, projected, nuisances, cost, converged
+
+
+def _initial_starts(model: Model, records: Sequence[Record]) -> list[tuple[float, float]]:
+    flat = Flat.of(model)
+    return [initial_state(r, flat) for r in records]
+
+
+def _as_model(model: Model, names: Sequence[str], p: np.ndarray) -> Model:
+    """The model with fitted values; angles are wrapped into one period."""
+    values: dict[str, float | str] = {}
+    for name in names:
+        parameter = model.parameter(name)
+        value = float(p[slot(name)])
+        if parameter.period:
+            value = (value + 0.5 * parameter.period) % parameter.period - 0.5 * parameter.period
+        values[name] = min(max(value, parameter.lower), parameter.upper)
+    return model.with_values(values)
+
+
+def fit(
+    model: Model,
+    records: Sequence[Record],
+    *,
+    windows: bool = False,
+    starts: Sequence[tuple[float, float]] | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    tolerance: float = 1e-7,
+) -> Fit:
+    """Fit the free parameters of a model to records, from the values it has.
+
+    ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with (else from the first second).
+    Raises DataError without records.
+    """
+    if not records:
+        raise DataError("there is no log to fit")
+    problem = _Problem(model, records, windows)
+    point = _Point(model.vector(), list(starts) if starts is not None else _initial_starts(model, records))
+    point, residuals, jacobians, nuisances, cost, converged = _solve(problem, point, max_iterations, tolerance)
+    return Fit(
+        model=_as_model(model, problem.names, point.p),
+        names=problem.names,
+        cost=cost,
+        residuals=tuple(residuals),
+        jacobians=tuple(jacobians),
+        nuisances=tuple(nuisances),
+        starts=tuple(point.starts),
+        converged=converged,
+    )
+
+
+def fit_staged(model: Model, records: Sequence[Record], *, max_iterations: int = MAX_ITERATIONS) -> Fit:
+    """Fit by windows first, then by whole free runs, which alone would fall into local minima from afar."""
+    near = fit(model, records, windows=True, max_iterations=max_iterations, tolerance=1e-4)
+    return fit(near.model, records, max_iterations=max_iterations)
+
+
+def best_of(candidates: Sequence[Model], run: Callable[[Model], Fit]) -> Fit:
+    """The fit of lowest cost over several starts."""
+    return min((run(model) for model in candidates), key=lambda f: f.cost)
+
+
+def first_guess(model: Model, records: Sequence[Record]) -> Model:
+    """Start values of gain and lag from the data: speed over duty at strong commands; the lag is left to several starts."""
+    ratios: list[float] = []
+    for record in records:
+        times = record.excitation.times_s
+        duty = record.excitation.duties_pct[1:]
+        if record.kind == ANGLE:
+            span = max(1, round(0.1 / record.sample_time_s))
+            if len(times) <= span:
+                continue
+            speed = (record.y[span:] - record.y[:-span]) / (times[span:] - times[:-span])
+            duty = duty[: len(speed)]
+        else:
+            speed = record.y
+        strong = np.abs(duty) > 0.5 * np.max(np.abs(duty), initial=0.0)
+        moving = strong & (np.abs(speed) > 0)
+        ratios.extend((np.abs(speed[moving]) / np.abs(duty[moving])).tolist())
+    if not ratios:
+        raise DataError("no log shows the motor moving under a command: there is nothing to fit")
+    return model.with_values({"linear.gain_deg_s_per_pct": max(float(np.percentile(ratios, 75)), 1e-9)})
+
+
+def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: bool = False) -> Fit:
+    """Fit a declared model: gain from the data, several lags, windows first, then whole runs from the best of them.
+
+    ``keep_start`` also tries the model's own values, as when it was read from a file.
+    """
+    guess = first_guess(model, records)
+    starts = [guess.with_values({"linear.tau_s": tau}) for tau in (0.03, 0.1, 0.4)]
+    starts = [s for s in starts if "linear.tau_s" not in model.fixed][: 3 if "linear.tau_s" not in model.fixed else 0]
+    if keep_start or not starts:
+        starts.append(model)
+    near = best_of(starts, lambda m: fit(m, records, windows=True, max_iterations=15, tolerance=1e-3))
+    return fit(near.model, records)
+
+
+def unchanged(model: Model, records: Sequence[Record]) -> Fit:
+    """The figures of a model as it is, nothing estimated but initial states."""
+    frozen = replace(model, fixed=frozenset(k for k in model.values))
+    return fit(frozen, records)
+
+
+__all__ = ["Fit", "best_of", "fit", "fit_from_scratch", "fit_staged", "initial_guess", "project", "unchanged"]

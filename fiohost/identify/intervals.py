@@ -1,0 +1,89 @@
+"""Intervals that hold under coloured residuals: the sandwich estimator with gradients summed over blocks of time.
+
+Count noise and what a model lacks are both strongly correlated in time; the textbook covariance, which takes every sample
+as independent, is too small by an order of magnitude. Summing the gradient over blocks lets the data say how much the
+blocks really differ (Liang and Zeger 1986; White 1980).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.identify.fit import Fit
+
+BLOCK_SAMPLES = 200
+NEAR_SINGULAR = 1e-9
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """``P`` of the diagnosis: a value with its 95 % interval and what is to be known about it."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+    identifiable: bool
+    at_bound: bool
+
+    @property
+    def half_width(self) -> float:
+        return 0.5 * (self.ci95[1] - self.ci95[0])
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "value": self.value,
+            "unit": self.unit,
+            "ci95": [self.ci95[0], self.ci95[1]],
+            "identifiable": self.identifiable,
+            "at_bound": self.at_bound,
+        }
+
+
+def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance (k, k) of the free parameters, and which of them (k) the data determine at all."""
+    k = len(fit.names)
+    hessian = np.zeros((k, k))
+    spread = np.zeros((k, k))
+    blocks = 0
+    for residual, columns in zip(fit.residuals, fit.jacobians, strict=True):
+        hessian += columns.T @ columns
+        for a in range(0, len(residual), BLOCK_SAMPLES):
+            g = columns[a : a + BLOCK_SAMPLES].T @ residual[a : a + BLOCK_SAMPLES]
+            spread += np.outer(g, g)
+            blocks += 1
+    scale = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    seen = scale > 0
+    cov = np.full((k, k), np.inf)
+    determined = np.zeros(k, dtype=bool)
+    if seen.any():
+        index = np.flatnonzero(seen)
+        scaled = hessian[np.ix_(index, index)] / np.outer(scale[index], scale[index])
+        values, vectors = np.linalg.eigh(scaled)
+        weak = values < NEAR_SINGULAR
+        inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T
+        determined[index] = ~np.any(np.abs(vectors[:, weak]) > 0.1, axis=1) if weak.any() else True
+        correction = blocks / max(blocks - len(index), 1)
+        inner = spread[np.ix_(index, index)] / np.outer(scale[index], scale[index])
+        cov[np.ix_(index, index)] = correction * (inverse @ inner @ inverse) / np.outer(scale[index], scale[index])
+    return cov, determined
+
+
+def estimates(fit: Fit) -> dict[str, Estimate]:
+    """Every number of the model with its interval; fixed ones have an interval of no width."""
+    cov, determined = covariance(fit)
+    found: dict[str, Estimate] = {}
+    for name, value in fit.model.values.items():
+        parameter = fit.model.parameter(name)
+        if isinstance(value, str):
+            continue
+        if name not in fit.names:
+            found[name] = Estimate(value, parameter.unit, (value, value), True, False)
+            continue
+        i = fit.names.index(name)
+        half = 1.96 * float(np.sqrt(max(cov[i, i], 0.0))) if np.isfinite(cov[i, i]) else np.inf
+        low, high = max(value - half, parameter.lower), min(value + half, parameter.upper)
+        at_bound = value <= parameter.lower or value >= parameter.upper
+        found[name] = Estimate(value, parameter.unit, (low, high), bool(determined[i]), at_bound)
+    return found
