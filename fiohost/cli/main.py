@@ -1,0 +1,131 @@
+"""The ``fiohost`` command: a table of commands, each imported when it is used.
+
+To add a command: write a click command in a module of this package and add one line to COMMANDS.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import click
+
+from fiohost import __version__
+from fiohost.errors import FiohostError
+
+# name -> (module:attribute, short help). The help stands here so that `fiohost --help` imports no command.
+COMMANDS: dict[str, tuple[str, str]] = {
+    "manual": ("fiohost.cli.drive:manual", "Drive with one duty until Ctrl-C, showing angle and speed."),
+    "deadband": ("fiohost.cli.deadband:deadband", "Find the duty at which the motor starts, in both directions."),
+    "run": ("fiohost.cli.run:run", "Run a scripted open- or closed-loop experiment."),
+    "diagnose": ("fiohost.cli.diagnose:diagnose", "Fit a model to logs and name what it lacks."),
+    "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
+    "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
+    "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
+    "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
+    "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
+    "unseal": ("fiohost.cli.bench:unseal", "Show the truth about a sealed board."),
+}
+
+
+class LazyGroup(click.Group):
+    """Loads a command when it is asked for, and turns errors into one sentence and an exit code."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(import_module(module), attribute)
+        taken = {option for parameter in command.params for option in parameter.opts}
+        if not taken & {"-v", "--verbose", "--debug"}:
+            command.params += [_verbose_option(), _debug_option()]
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except FiohostError as exc:
+            _say_error(exc)
+            sys.exit(1)
+        except KeyboardInterrupt as exc:  # Stopped is one
+            click.echo(f"\n{exc}" if str(exc) else "\nstopped by Ctrl-C", err=True)
+            _say_notes(exc)
+            sys.exit(getattr(exc, "exit_code", 130))
+        except BrokenPipeError:
+            # whoever read our output has gone; nothing more can be said, nor flushed at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except Exception as exc:
+            if logging.getLogger("fiohost").isEnabledFor(logging.DEBUG):
+                raise
+            text = " ".join(str(exc).split())[:300]
+            click.echo(f"fiohost: error inside fiohost: {type(exc).__name__}: {text} (--debug shows where)", err=True)
+            _say_notes(exc)
+            sys.exit(1)
+
+
+def _say_error(exc: FiohostError) -> None:
+    click.echo(f"fiohost: {exc}", err=True)
+    _say_notes(exc)
+    if logging.getLogger("fiohost").isEnabledFor(logging.DEBUG):
+        logging.getLogger("fiohost").debug("where:", exc_info=exc)
+
+
+def _say_notes(exc: BaseException) -> None:
+    for note in getattr(exc, "__notes__", ()):
+        click.echo(f"fiohost: {note}", err=True)
+
+
+def _set_level(ctx: click.Context, parameter: click.Parameter, value: int | bool) -> None:
+    if not value:
+        return
+    level = logging.DEBUG if parameter.name == "debug" else logging.INFO
+    logger = logging.getLogger("fiohost")
+    if not logger.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+        logger.addHandler(handler)
+        logger.propagate = False
+    logger.setLevel(min(level, logger.level or level))
+
+
+def _verbose_option() -> click.Option:
+    return click.Option(["-v", "--verbose"], is_flag=True, expose_value=False, callback=_set_level, help="Say more.")
+
+
+def _debug_option() -> click.Option:
+    text = "Show traffic in hex, and where an error came from."
+    return click.Option(["--debug"], is_flag=True, expose_value=False, callback=_set_level, help=text)
+
+
+@click.group(
+    cls=LazyGroup,
+    params=[_verbose_option(), _debug_option()],
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Example: fiohost manual --pwm 40 --duration 5",
+)
+@click.version_option(__version__, prog_name="fiohost")
+def cli() -> None:
+    """Drive a DC-motor control bench, log it, identify it, and name what its model lacks."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the ``fiohost`` command."""
+    cli.main(args=list(arguments) if arguments is not None else None, prog_name="fiohost")
+
+
+if __name__ == "__main__":
+    main()

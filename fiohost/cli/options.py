@@ -1,0 +1,51 @@
+"""Options that several commands share, and the reading of their values.
+
+Values come as text and are read here: a number out of range is a refusal (exit 1, a sentence), not a syntax error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from fiohost.errors import ConfigError
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def target_options(command: Command) -> Command:
+    """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None)."""
+    seed_help = "For sim:sealed: which board. For other simulated boards: how the shaft starts."
+    target_help = "sim, sim:PLANT, sim:sealed, or the name of a profile."
+    command = click.option("--seed", metavar="N", help=seed_help)(command)
+    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
+
+
+def parse_number(option: str, text: str, low: float, high: float, unit: str = "") -> float:
+    """A finite number within [low, high]. Raises ConfigError naming the option."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        ending = f" {unit}" if unit else ""
+        raise ConfigError(f"{option} {text[:60]!r} is not a number within {low:g} to {high:g}{ending}")
+    return value
+
+
+def parse_whole(option: str, text: str, low: int, high: int) -> int:
+    """A whole number within [low, high]. Raises ConfigError naming the option."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = low - 1
+    if not low <= value <= high:
+        raise ConfigError(f"{option} {text[:60]!r} is not a whole number within {low} to {high}")
+    return value
+
+
+def parse_seed(text: str | None) -> int | None:
+    return None if text is None else parse_whole("--seed", text, 0, 2**63 - 1)

@@ -1,0 +1,106 @@
+"""What commands print: text on standard output, and with ``--json FILE|-`` the result as strict JSON.
+
+With ``--json -`` standard output holds the JSON and nothing else; all text goes to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+
+import click
+
+from fiohost.errors import FiohostError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def json_option(command: Command) -> Command:
+    """Add ``--json FILE|-`` to a command, as its argument ``json_to``."""
+    return click.option(
+        "--json", "json_to", metavar="FILE|-", help="Write the result as JSON; with - to standard output."
+    )(command)
+
+
+class Output:
+    """Where a command's text goes. Calling it prints one line; ``json`` writes the result."""
+
+    def __init__(self, json_to: str | None = None) -> None:
+        self.json_to = json_to
+        if json_to is not None and json_to != "-":
+            check_writable(json_to)
+
+    @property
+    def stream(self) -> TextIO:
+        return sys.stderr if self.json_to == "-" else sys.stdout
+
+    @property
+    def is_terminal(self) -> bool:
+        return self.stream.isatty()
+
+    def __call__(self, text: str = "") -> None:
+        click.echo(text, file=self.stream)
+
+    @property
+    def console(self) -> Console:
+        """A rich console on the same stream, for tables and live lines."""
+        from rich.console import Console
+
+        return Console(file=self.stream, highlight=False, soft_wrap=not self.is_terminal)
+
+    def json(self, result: Any) -> None:
+        """Write the result where ``--json`` says; without it nothing happens. Raises FiohostError."""
+        write_json(self.json_to, result)
+
+
+def output_for(json_to: str | None) -> Output:
+    """The output of a command; a JSON file that cannot be written is refused here, before any work is done."""
+    return Output(json_to)
+
+
+def write_json(json_to: str | None, result: Any) -> None:
+    """Write strict JSON (NaN and infinity become null) to a file, or to standard output for ``-``."""
+    if json_to is None:
+        return
+    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    if json_to == "-":
+        click.echo(text, nl=False)
+        return
+    try:
+        Path(json_to).write_text(text, encoding="utf-8")
+    except OSError as exc:
+        raise FiohostError(f"cannot write {json_to}: {exc.strerror}") from exc
+
+
+def check_writable(path: str | Path) -> None:
+    """Refuse early what could not be written later. Raises FiohostError."""
+    path = Path(path)
+    if path.is_dir():
+        raise FiohostError(f"cannot write {path}: it is a directory")
+    if not path.parent.is_dir():
+        raise FiohostError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise FiohostError(f"cannot write {path}: permission denied")
+
+
+def plain(value: Any) -> Any:
+    """The same value in JSON's own types: arrays become lists, paths text, NaN and infinity null."""
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, set)):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):  # numpy, without importing it
+        return plain(value.tolist())
+    return str(value)
