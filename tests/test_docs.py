@@ -1,0 +1,80 @@
+"""The documents say what the code does: byte examples, TOML examples and lists of names are checked against it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from fiohost.bench.experiment import Experiment
+from fiohost.bench.imports import TableMap
+from fiohost.motor.model import Model
+from fiohost.transport.profile import TargetProfile
+from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+
+def text(name: str) -> str:
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[tuple[str, str]]:
+    """All fenced blocks of one language: where it is, and what is in it."""
+    found = []
+    for page in PAGES:
+        if not page.is_file():
+            continue
+        for i, match in enumerate(re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)):
+            found.append((f"{page.name} {i + 1}", match))
+    return found
+
+
+def test_the_byte_examples_are_what_the_codec_sends_and_understands() -> None:
+    rows = re.findall(r"^\| (command|telemetry) \| (.+?) \| `([0-9a-f ]+)` \|$", text("protocol.md"), re.MULTILINE)
+    assert len(rows) == 9
+    codec = TargetProfile.load().codec
+    for kind, meaning, hexadecimal in rows:
+        report = bytes.fromhex(hexadecimal).ljust(64, b"\0")
+        if kind == "telemetry":
+            direction, pos = (int(part) for part in re.findall(r"\d+", meaning))
+            assert codec.decode(report) == (direction, pos), meaning
+            continue
+        if meaning in ("brake", "standby"):
+            command = BRAKE_COMMAND if meaning == "brake" else STANDBY_COMMAND
+        else:
+            word, level = meaning.removesuffix(" %").split()
+            command = Command.drive(float(level) * (1 if word == "forward" else -1))
+        assert codec.encode(command) == report, meaning
+
+
+def test_the_offset_tables_are_those_of_the_shipped_profile() -> None:
+    codec = TargetProfile.load().codec
+    rows = re.findall(r"^\| (\d+) \| (\w+) \| `(\w+)` \|", text("protocol.md"), re.MULTILINE)
+    fields = [*codec.command_layout.fields, *codec.telemetry_layout.fields]
+    assert rows == [(str(field.offset), field.type, field.name) for field in fields]
+
+
+@pytest.mark.parametrize(("where", "block"), blocks("toml"))
+def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) -> None:
+    path = tmp_path / "example.toml"
+    path.write_text(block, encoding="utf-8")
+    schema = re.search(r'schema = "([^"]+)"', block)
+    assert schema, f"{where}: a full example names its schema"
+    match schema[1]:
+        case "fiohost.target/1":
+            TargetProfile.load(path)
+        case "fiohost.map/1":
+            TableMap.load(path)
+        case "fiohost.experiment/1":
+            Experiment.load(path)
+        case "fiohost.model/1":
+            Model.read(path)
+        case "firmware_model.plant/1":
+            from firmware_model.plants import load_plant
+
+            load_plant(path)
+        case other:
+            pytest.fail(f"{where}: unknown schema {other}")
