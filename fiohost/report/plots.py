@@ -68,10 +68,12 @@ def plot_series(series: SeriesPlot) -> Figure:
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         if np.isfinite(series.floor_rms) and series.floor_rms > 0:
             axes.axhspan(-series.floor_rms, series.floor_rms, color=FLOOR, alpha=0.25, linewidth=0)
+            for edge in (-series.floor_rms, series.floor_rms):
+                axes.axhline(edge, color=FLOOR, linewidth=1.3, linestyle=(0, (4, 2)), zorder=4)
         axes.plot(series.time_s[keep], error[keep], color=_line(name)["color"], linewidth=0.9)
         axes.set_ylabel(f"error {name}\n({series.unit})")
         rms = float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
-        floor = f", floor {series.floor_rms:.3g} (green band)" if np.isfinite(series.floor_rms) else ""
+        floor = f", floor {series.floor_rms:.3g} (green)" if np.isfinite(series.floor_rms) else ""
         note = f"{name}: rms {rms:.3g} {series.unit}{floor}"
         axes.set_title(note, fontsize=9, fontweight="normal", color="#333333", pad=3)
     if series.duty_pct is not None:
