@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 
 from fiohost.bench.imports import TableMap, import_table, log_from_table
 from fiohost.bench.log import Log
+from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, DataError, FiohostError, LogError
 from fiohost.settings import Table, config_names
 
@@ -244,3 +247,51 @@ def test_a_table_whose_command_exceeds_full_scale_by_rounding_is_clipped(tmp_pat
     np.testing.assert_array_equal(log.duty_pct, [100.0, -100.0])
     with pytest.raises(DataError):
         log_from_table(write(tmp_path, "t,u,y\n0,5.1,1\n0.02,-5,2\n"), make_map())
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def test_the_command_writes_the_log_and_says_what_it_holds(tmp_path: Path) -> None:
+    table = write(tmp_path, "time_s,power_pct,angle_deg\n0,40,0\n0.004,40,1\n0.008,40,3\n0.0")
+    out = tmp_path / "log.csv"
+    result = call("import", table, "--map", "nxt_open_loop", "-o", out, "--json", "-")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert (found["rows"], found["sample_time_s"], found["output_unit"]) == (3, 0.004, "deg")
+    assert "3 rows" in result.stderr
+    assert "incomplete" in result.stderr
+    np.testing.assert_allclose(Log.read(out).output, [0.0, 1.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("table", "map_name", "out", "says"),
+    [
+        ("absent.csv", "emps", "log.csv", "cannot read"),
+        ("table.csv", "emp", "log.csv", "did you mean 'emps'"),
+        ("table.csv", "emps", "log.csv", "no column 'time_s'"),
+        ("table.csv", "emps", "absent/log.csv", "cannot write"),
+    ],
+)
+def test_the_command_refuses_with_one_sentence_and_exit_1(
+    tmp_path: Path, table: str, map_name: str, out: str, says: str
+) -> None:
+    write(tmp_path, GOOD)
+    result = call("import", tmp_path / table, "--map", map_name, "-o", tmp_path / out)
+    assert result.exit_code == 1
+    assert says in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / out).exists()
+
+
+def test_the_library_of_effects_is_listed_with_parameters_and_explained_by_name() -> None:
+    listed = call("effects", "--json", "-")
+    names = [item["name"] for item in json.loads(listed.stdout)["effects"]]
+    assert {"linear", "coulomb_friction", "gravity_load", "backlash"} <= set(names)
+    one = call("effects", "gravity_load")
+    assert "level_pct" in one.stdout
+    assert "cogging_torque" in one.stdout
+    wrong = call("effects", "gravity")
+    assert wrong.exit_code == 1
+    assert "did you mean 'gravity_load'" in wrong.stderr

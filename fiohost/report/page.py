@@ -37,8 +37,9 @@ def write_page(
     """Write the page, whole or not at all, and return *path*.
 
     ``diagnosis`` follows ``fiohost.diagnosis/1``. ``confirm`` is the judgement on a fresh record: ``before``,
-    ``after`` and ``floor`` like E of the diagnosis, optionally ``file``, ``experiment``, ``improvement_pct`` and its
-    ``ci95``; other keys are listed as they are. ``seal`` is what a sealed bench turned out to be: any nested mapping.
+    ``after`` and ``floor`` like E of the diagnosis, optionally ``improvement_pct`` with its ``ci95`` and the figure
+    that it is of, ``improvement_of`` (``free_run_rms`` or ``window_rms``); other keys are listed as they are.
+    ``seal`` is what a sealed bench turned out to be: any nested mapping.
     Raises LogError where the file cannot be written.
     """
     html = render(title=title, diagnosis=diagnosis, series=series, seal=seal, confirm=confirm, curves=curves)
@@ -114,17 +115,18 @@ def render(
     )
 
 
-CONFIRM_KEYS = ("before", "after", "floor", "improvement_pct", "ci95")
+CONFIRM_KEYS = ("before", "after", "floor", "improvement_pct", "ci95", "improvement_of", "windows")
 
 
 def confirm_sentence(confirm: Mapping[str, Any], unit: str) -> str:
     """What the fresh record says, in a sentence."""
-    before, after, floor = (words.error_of(confirm, stage) for stage in ("before", "after", "floor"))
+    key = str(confirm.get("improvement_of", "free_run_rms"))
+    before, after, floor = (words.error_of(confirm, stage, key) for stage in ("before", "after", "floor"))
     if before is None or after is None:
         return ""
-    text = (
-        f"On a fresh record the error went from {words.with_unit(before, unit)} to {words.with_unit(after, unit)} rms"
-    )
+    where = " in 1 s windows" if key == "window_rms" else ""
+    change = f"from {words.with_unit(before, unit)} to {words.with_unit(after, unit)} rms"
+    text = f"On a fresh record the error{where} went {change}"
     if floor is not None:
         text += f", with a floor of {words.with_unit(floor, unit)}"
     gain = confirm.get("improvement_pct")
