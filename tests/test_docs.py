@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.imports import TableMap
+from fiohost.bench.signals import KINDS
 from fiohost.motor.model import Model
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -78,3 +81,20 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             load_plant(path)
         case other:
             pytest.fail(f"{where}: unknown schema {other}")
+
+
+def test_the_effects_page_is_the_library() -> None:
+    spec = importlib.util.spec_from_file_location("effects_page", ROOT / "docs" / "tools" / "effects_page.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert text("effects.md") == module.page(), "write it anew: python docs/tools/effects_page.py"
+
+
+def test_every_signal_and_its_keys_are_documented() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+?) \| .+ \|$", text("experiments.md"), re.MULTILINE))
+    assert set(rows) == set(KINDS)
+    for kind, cells in rows.items():
+        keys = {field.name for field in fields(KINDS[kind])} - {"duration_s"}
+        assert set(re.findall(r"`(\w+)`", re.sub(r"\(.*?\)", "", cells))) == keys, kind

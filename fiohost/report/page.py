@@ -142,6 +142,8 @@ def flatten(value: Any, name: str = "") -> list[tuple[str, str]]:
     """Nested mappings and lists as rows of (dotted name, text)."""
     if isinstance(value, Mapping):
         return [row for key, item in value.items() for row in flatten(item, f"{name}.{key}" if name else str(key))]
+    if isinstance(value, (list, tuple)) and any(isinstance(item, str) and " " in item for item in value):
+        return [(name, _text(item)) for item in value]  # sentences
     if isinstance(value, (list, tuple)) and any(isinstance(item, (Mapping, list, tuple)) for item in value):
         return [row for i, item in enumerate(value, start=1) for row in flatten(item, f"{name}[{i}]")]
     if isinstance(value, (list, tuple)):
