@@ -125,17 +125,17 @@ def confirm_sentence(confirm: Mapping[str, Any], unit: str) -> str:
     if before is None or after is None:
         return ""
     where = " in 1 s windows" if key == "window_rms" else ""
+    level = f"; the floor is {words.with_unit(floor, unit)}" if floor is not None else ""
+    gain = confirm.get("improvement_pct")
+    if before == after:
+        return f"On a fresh record the error{where} is {words.with_unit(before, unit)} rms{level}."
     change = f"from {words.with_unit(before, unit)} to {words.with_unit(after, unit)} rms"
     text = f"On a fresh record the error{where} went {change}"
-    if floor is not None:
-        text += f", with a floor of {words.with_unit(floor, unit)}"
-    gain = confirm.get("improvement_pct")
     if isinstance(gain, (int, float)):
-        text += f": {words.number(gain, 3)} % less"
-        bounds = words.interval(confirm)
-        if bounds != words.DASH:
-            text += f" (95 % interval {bounds} %)"
-    return text + "."
+        bounds = words.interval(confirm, 3)
+        text += f", {words.number(abs(gain), 3)} % {'less' if gain >= 0 else 'more'}"
+        text += f" (95 % interval of the improvement: {bounds} %)" if bounds != words.DASH else ""
+    return f"{text}{level}."
 
 
 def flatten(value: Any, name: str = "") -> list[tuple[str, str]]:

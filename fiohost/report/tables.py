@@ -17,6 +17,7 @@ from rich.text import Text
 from fiohost.report.words import effect_words, error_of, interval, listed, number, remark, verdict_sentence
 
 CANDIDATES_SHOWN = 8
+FILE_WIDTH = 132  # columns where the text goes to a file or pipe, which has no edge
 VERDICT_STYLE = {"no_missing_effect": "bold green", "explained": "bold green", "unexplained": "bold yellow"}
 
 
@@ -29,8 +30,9 @@ def print_diagnosis(console: Console, diagnosis: Mapping[str, Any]) -> None:
         tables.insert(1, log_table(diagnosis))
     if diagnosis.get("candidates"):
         tables.append(candidate_table(diagnosis))
+    width = None if console.is_terminal else max(console.width, FILE_WIDTH)
     for table in tables:
-        console.print(table)
+        console.print(table, width=width, crop=False)
         console.print()
     upcoming = diagnosis.get("next_experiment")
     if upcoming:
@@ -45,7 +47,7 @@ def error_table(diagnosis: Mapping[str, Any]) -> Table:
     """Errors before, after each effect and at the end, beside the floor, for both roles."""
     unit = str(diagnosis.get("output_unit", ""))
     table = _table(f"Error in {unit} rms" if unit else "Error rms")
-    table.add_column("model")
+    table.add_column("model", no_wrap=True)
     for role in ("training", "held out"):
         table.add_column(f"{role}\nwhole run", justify="right")
         table.add_column(f"{role}\n1 s windows", justify="right")
@@ -65,7 +67,7 @@ def log_table(diagnosis: Mapping[str, Any]) -> Table:
     """One row a log: its role, error before and after, and its own floor."""
     table = _table("Logs (whole run, rms)")
     for name in ("log", "role"):
-        table.add_column(name)
+        table.add_column(name, no_wrap=True)
     for name in ("before", "after", "floor", "after / floor", "fit %"):
         table.add_column(name, justify="right")
     for log in diagnosis["logs"]:
@@ -87,10 +89,10 @@ def parameter_table(diagnosis: Mapping[str, Any]) -> Table:
     """Parameters of the final model with their 95 % intervals."""
     final = diagnosis.get("final") or diagnosis.get("declared") or {}
     table = _table(f"Parameters of {final.get('model', 'the model')}")
-    table.add_column("parameter")
-    table.add_column("value", justify="right")
-    table.add_column("95 % interval", justify="right")
-    table.add_column("unit")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("95 % interval", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     table.add_column("remark")
     for name, parameter in (final.get("parameters") or {}).items():
         table.add_row(
@@ -110,8 +112,8 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> Table:
     ranked = sorted(diagnosis["candidates"], key=lambda c: -float(c.get("score") or 0.0))
     rest = len(ranked) - CANDIDATES_SHOWN
     table = _table("Candidates" + (f" (best {CANDIDATES_SHOWN} of {len(ranked)})" if rest > 0 else ""))
-    table.add_column("effect")
-    table.add_column("score", justify="right")
+    table.add_column("effect", no_wrap=True)
+    table.add_column("score", justify="right", no_wrap=True)
     table.add_column("outcome")
     for candidate in ranked[:CANDIDATES_SHOWN]:
         name = str(candidate.get("effect"))

@@ -50,12 +50,12 @@ def with_unit(value: Any, unit: str, digits: int = 3) -> str:
     return text if text == DASH or not unit else f"{text} {unit}"
 
 
-def interval(parameter: Mapping[str, Any]) -> str:
+def interval(parameter: Mapping[str, Any], digits: int = 4) -> str:
     """The 95 % interval of one parameter, ``[lo, hi]``, or a dash."""
     bounds = parameter.get("ci95")
     if not isinstance(bounds, Sequence) or len(bounds) != 2 or any(number(b) == DASH for b in bounds):
         return DASH
-    return f"{number(bounds[0])} .. {number(bounds[1])}"
+    return f"{number(bounds[0], digits)} .. {number(bounds[1], digits)}"
 
 
 def remark(parameter: Mapping[str, Any]) -> str:
