@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from firmware_model.plants import Plant
 
 Hook = Callable[..., float]
+Structure = Callable[["Plant", Mapping[str, Any]], dict[str, float]]
 Reduced = Callable[["Plant", Mapping[str, Any]], dict[str, Any]]
 
 
@@ -39,7 +40,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect. ``reduced`` gives the same thing in percent of duty, degrees and seconds."""
+    """One effect. ``reduced`` gives the same thing in percent of duty, degrees and seconds.
+
+    ``structure`` sets constants of the kernel itself (gap, second inertia, delay; names of ``layout.C``), ``states`` is
+    the number of states of its own (0 or 1), whose rate is ``rate``. ``stage`` orders the hooks, least first.
+    """
 
     name: str
     summary: str
@@ -61,3 +66,4 @@ class Effect:
     inertia: Hook | None = None
     rate: Hook | None = None
     measure: Hook | None = None
+    structure: Structure | None = None

@@ -1,29 +1,161 @@
-"""The motor behind the bridge, as the board sees it."""
+"""The motor behind the bridge: the kernel's arrays for one plant, and calls that let time pass."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from firmware_model.errors import FirmwareModelError
+from firmware_model.hooks import offsets, parameter_count, state_count
+from firmware_model.kernel import meters, run, run_many
+from firmware_model.layout import (
+    BODIES,
+    COUNT,
+    DIRECTION,
+    EDGES,
+    EVENTS,
+    FLOW,
+    LOAD_THETA,
+    OWN,
+    QUEUE,
+    REALS,
+    SLIP,
+    STATES,
+    STEPS,
+    STRIDE,
+    SWITCHES,
+    THETA,
+    TIME,
+    C,
+)
 from firmware_model.plants import Plant
+from firmware_model.registry import effects, index_of
+
+FloatArray = npt.NDArray[np.float64]
+
+# A winding faster than this is better described by none (L_H = 0): the integration would only creep.
+FASTEST_WINDING_S = 2e-5
+
+
+def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
+    """The kernel's constants ``p`` and effect switches ``on`` for a plant."""
+    p = np.zeros(parameter_count())
+    p[C.R], p[C.L], p[C.KT], p[C.KE] = plant.R_ohm, plant.L_H, plant.Kt_Nm_per_A, plant.Ke_Vs_per_rad
+    p[C.J], p[C.B], p[C.COULOMB], p[C.SUPPLY] = plant.J_kgm2, plant.B_Nms, plant.coulomb_Nm, plant.supply_V
+    p[C.QUANTUM] = 2.0 * math.pi / plant.counts_per_rev
+    p[C.STOP] = p[C.CHANGE_AT] = math.inf
+    on = np.zeros(len(effects()), np.uint8)
+    for name, values in plant.effects.items():
+        effect = effects()[name]
+        on[index_of()[name]] = 1
+        for i, parameter in enumerate(effect.parameters):
+            value = values[parameter.key]
+            p[offsets()[name] + i] = parameter.choices.index(value) if parameter.choices else value
+        if effect.structure is not None:
+            for constant, number in effect.structure(plant, values).items():
+                p[C[constant]] = number
+    if 0.0 < p[C.L] < FASTEST_WINDING_S * p[C.R]:
+        raise FirmwareModelError(
+            f"plant {plant.name!r}: L_H = {p[C.L]:g} with R_ohm = {p[C.R]:g} gives an electrical time constant below "
+            f"{FASTEST_WINDING_S * 1e6:g} us; write L_H = 0 for a winding without inductance"
+        )
+    return p, on
 
 
 class Motor:
-    """Linear placeholder."""
+    """A motor at rest at power-on; ``within_count`` and ``within_gap`` (0..1) place it in its first count and its play."""
 
     def __init__(self, plant: Plant, *, within_count: float = 0.5, within_gap: float = 0.5) -> None:
-        self._plant = plant
-        self._theta = within_count * 360.0 / plant.counts_per_rev
-        self._omega = 0.0
-        self.count = 0
-        self.direction = 0
+        p, on = constants(plant)
+        y = np.zeros(state_count())
+        m = np.zeros(SWITCHES, np.int64)
+        r = np.zeros(REALS)
+        y[THETA] = within_count * p[C.QUANTUM]
+        y[LOAD_THETA] = y[THETA]
+        if p[C.AFTER]:
+            y[THETA] += (1.0 - 2.0 * within_gap) * p[C.HALF_GAP]
+        else:
+            y[LOAD_THETA] += (1.0 - 2.0 * within_gap) * p[C.HALF_GAP]
+        m[BODIES] = 2 if p[C.LOAD_J] > 0.0 else 1
+        m[STATES] = self._states_needed(plant, p)
+        m[FLOW] = 1
+        r[STRIDE] = 0.001
+        self._y, self._r, self._m, self._p, self._on = y, r, m, p, on
+        self._queue = np.zeros((3, QUEUE))
+        self._work = np.zeros((9, state_count()))
+        run(*self._arrays(), 0, 0.0, 0.0)  # compiled here, not in the first task step
+        first = float(y[LOAD_THETA] if p[C.AFTER] else y[THETA])
+        p[C.ANGLE_ZERO] = math.floor(measured(first, p, on) / p[C.QUANTUM])
+        r[EDGES] = 0.0
+
+    @staticmethod
+    def _states_needed(plant: Plant, p: FloatArray) -> int:
+        """How much of the state takes part; the rest would only cost time."""
+        if any(effects()[name].states for name in plant.effects):
+            return state_count()
+        if p[C.DEFLECTION] > 0.0:
+            return OWN
+        if p[C.LOAD_J] > 0.0:
+            return SLIP
+        return LOAD_THETA
+
+    def _arrays(self) -> tuple[Any, ...]:
+        return self._y, self._r, self._m, self._queue, self._work, self._p, self._on
+
+    @property
+    def count(self) -> int:
+        """The encoder counter, unwrapped."""
+        return int(self._m[COUNT])
+
+    @property
+    def direction(self) -> int:
+        """Direction of the last edge: 0 up, 1 down."""
+        return int(self._m[DIRECTION])
+
+    @property
+    def time_s(self) -> float:
+        """Time since power-on."""
+        return float(self._r[TIME])
+
+    @property
+    def current_A(self) -> float:
+        """Mean winding current now."""
+        return float(meters(*self._arrays())[0])
+
+    @property
+    def voltage_V(self) -> float:
+        """Mean voltage across the winding now."""
+        return float(meters(*self._arrays())[1])
+
+    def set_external_torque(self, torque_Nm: float) -> None:
+        """Torque on the output shaft from outside, positive forward, from now on."""
+        self._p[C.EXTERNAL] = torque_Nm
+
+    @property
+    def events(self) -> tuple[int, int]:
+        """Events met and steps tried so far."""
+        return int(self._m[EVENTS]), int(self._m[STEPS])
 
     def run(self, mode: int, duty_pct: float, span_s: float) -> None:
-        tau = self._plant.tau_s if mode else 1e9
-        steady = self._plant.gain_deg_s_per_pct * duty_pct
-        decay = math.exp(-span_s / tau)
-        self._theta += steady * span_s + (self._omega - steady) * tau * (1.0 - decay)
-        self._omega = steady + (self._omega - steady) * decay
-        count = math.floor(self._theta * self._plant.counts_per_rev / 360.0)
-        if count != self.count:
-            self.direction = int(count < self.count)
-        self.count = count
+        """Let ``span_s`` pass with the bridge in ``mode`` at a signed duty in percent."""
+        run(*self._arrays(), mode, duty_pct, span_s)
+
+    def run_many(
+        self, modes: npt.NDArray[np.int64], duties_pct: FloatArray, span_s: float
+    ) -> tuple[npt.NDArray[np.int64], FloatArray]:
+        """Many task steps; counts (n,) and states (n, state size, SI units) as they were before each."""
+        counts = np.zeros(len(duties_pct), np.int64)
+        states = np.zeros((len(duties_pct), len(self._y)))
+        run_many(*self._arrays(), modes, duties_pct, span_s, counts, states)
+        return counts, states
+
+
+def measured(angle_rad: float, p: FloatArray, on: npt.NDArray[np.uint8]) -> float:
+    """The angle that the encoder's disc shows."""
+    for name, effect in effects().items():
+        if on[index_of()[name]] and effect.measure is not None:
+            angle_rad = effect.measure(angle_rad, p, offsets()[name])
+    return angle_rad

@@ -25,4 +25,9 @@ EFFECT = Effect(
         "side": q["side"],
         "load_inertia_ratio": q["load_inertia_kgm2"] / plant.J_kgm2,
     },
+    structure=lambda plant, q: {
+        "HALF_GAP": 0.5 * q["gap_rad"],
+        "AFTER": float(q["side"] == "encoder_after_gap"),
+        "LOAD_J": q["load_inertia_kgm2"],
+    },
 )

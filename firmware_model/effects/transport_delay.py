@@ -12,4 +12,5 @@ EFFECT = Effect(
     parameters=(Parameter("delay_s", lower=0.0, upper=LONGEST_S),),
     source="Report latency; Franklin, Powell, Workman, Digital Control of Dynamic Systems",
     reduced=lambda plant, q: {"delay_s": q["delay_s"]},
+    structure=lambda plant, q: {"DELAY": q["delay_s"]},
 )

@@ -1,0 +1,118 @@
+"""The kernel called from Python: commands in time, motion in between, the encoder's edges on the way."""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.compiled import entry, part
+from firmware_model.events import settle
+from firmware_model.hooks import command, measure
+from firmware_model.layout import (
+    BODIES,
+    COUNT,
+    DIRECTION,
+    DUTY,
+    EDGES,
+    HEAD,
+    LOAD_THETA,
+    LOST,
+    MODE,
+    OMEGA,
+    QUEUE,
+    THETA,
+    TIME,
+    WAITING,
+    C,
+)
+from firmware_model.physics import electrical
+from firmware_model.stepper import advance_step
+
+HALF_GAP, AFTER, DELAY = int(C.HALF_GAP), int(C.AFTER), int(C.DELAY)
+R, L, KE = int(C.R), int(C.L), int(C.KE)
+QUANTUM, CHANGE_AT, ANGLE_ZERO, SHARE_LOST = int(C.QUANTUM), int(C.CHANGE_AT), int(C.ANGLE_ZERO), int(C.SHARE_LOST)
+
+
+@part
+def read_encoder(y, r, m, p, on):  # type: ignore[no-untyped-def]
+    """Follow the edges since the last look; between two looks the disc has turned one way only.
+
+    ``r[EDGES]`` is the true count of edges so far, ``m[COUNT]`` what the counter made of them.
+    """
+    angle = y[LOAD_THETA] if p[AFTER] > 0.0 else y[THETA]
+    edges = math.floor(measure(angle, p, on) / p[QUANTUM]) - p[ANGLE_ZERO]
+    passed = edges - r[EDGES]
+    if passed == 0.0:
+        return
+    r[EDGES] = edges
+    if p[SHARE_LOST] > 0.0:
+        # Every edge adds its share to the loss; a whole one is not counted.
+        r[LOST] += abs(passed) * p[SHARE_LOST]
+        missed = min(math.floor(r[LOST]), abs(passed))
+        r[LOST] -= missed
+        passed -= math.copysign(missed, passed)
+        if passed == 0.0:
+            return
+    m[COUNT] += int(passed)
+    m[DIRECTION] = 0 if passed > 0.0 else 1
+
+
+@part
+def run_until(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
+    """Motion under one command."""
+    fresh = True
+    while r[TIME] < until:
+        fresh = advance_step(y, r, m, w, until, p, on, r[DUTY], fresh)
+        if m[BODIES] == 1 and p[HALF_GAP] > 0.0:
+            y[LOAD_THETA] = min(max(y[LOAD_THETA], y[THETA] - p[HALF_GAP]), y[THETA] + p[HALF_GAP])
+        read_encoder(y, r, m, p, on)
+
+
+@part
+def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
+    """Latch a command, then run for ``span`` seconds."""
+    end = r[TIME] + span
+    if p[DELAY] > 0.0:
+        place = (m[HEAD] + m[WAITING]) % QUEUE
+        queue[0, place] = r[TIME] + p[DELAY]
+        queue[1, place] = duty
+        queue[2, place] = mode
+        m[WAITING] += 1
+    else:
+        m[MODE] = mode
+        r[DUTY] = command(duty, p, on)
+    while r[TIME] < end:
+        while m[WAITING] > 0 and queue[0, m[HEAD]] <= r[TIME]:
+            m[MODE] = int(queue[2, m[HEAD]])
+            r[DUTY] = command(queue[1, m[HEAD]], p, on)
+            m[HEAD] = (m[HEAD] + 1) % QUEUE
+            m[WAITING] -= 1
+        until = end
+        if m[WAITING] > 0:
+            until = min(until, queue[0, m[HEAD]])
+        if r[TIME] < p[CHANGE_AT]:
+            until = min(until, p[CHANGE_AT])
+        settle(r[TIME], y, m, r[DUTY], p, on)
+        run_until(y, r, m, w, until, p, on)
+
+
+@entry
+def run(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
+    """One task step."""
+    hold(y, r, m, queue, w, p, on, mode, duty, span)
+
+
+@entry
+def run_many(y, r, m, queue, w, p, on, modes, duties, span, counts, states):  # type: ignore[no-untyped-def]
+    """Task steps in a row; ``counts[k]`` and ``states[k]`` are the counter and the state before step k."""
+    for k in range(duties.shape[0]):
+        counts[k] = m[COUNT]
+        for i in range(states.shape[1]):
+            states[k, i] = y[i]
+        hold(y, r, m, queue, w, p, on, modes[k], duties[k], span)
+
+
+@entry
+def meters(y, r, m, queue, w, p, on):  # type: ignore[no-untyped-def]
+    """Mean current and mean voltage of the winding now; with the bridge open and no current, the back-emf."""
+    current, rate = electrical(r[TIME], y, m, r[DUTY], p, on)
+    return current, p[R] * current + p[L] * rate + p[KE] * y[OMEGA]

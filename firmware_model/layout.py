@@ -1,0 +1,52 @@
+"""Where the kernel's numbers lie: the continuous state, the switches, the clockwork and the constants."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+# y: the continuous state (rad, rad/s, A; presliding deflection in rad), then the effects' own states.
+THETA, OMEGA, CURRENT, LOAD_THETA, LOAD_OMEGA, SLIP, OWN = range(7)
+
+# m: whole numbers. SIDE is the direction of sliding (0 held), CONTACT the gap's closed face, FLOW the direction of current
+# where that matters (0: blocked), STOPPED 1 while resting on an end of travel.
+(SIDE, LOAD_SIDE, CONTACT, FLOW, STOPPED, MODE, BODIES, STATES, COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS, FRESH) = range(15)
+SWITCHES = 16
+
+# r: reals of the clockwork.
+TIME, DUTY, STRIDE, LOST, EDGES = range(5)
+REALS = 8
+
+# Commands on their way through a transport delay: rows time, duty, mode.
+QUEUE = 512
+
+
+class C(IntEnum):
+    """Constants in p before the effects' parameters; those of the structure are set by the effects that have one."""
+
+    R = 0
+    L = 1
+    KT = 2
+    KE = 3
+    J = 4
+    B = 5
+    COULOMB = 6
+    SUPPLY = 7
+    QUANTUM = 8
+    LOAD_J = 9
+    LOAD_COULOMB = 10
+    HALF_GAP = 11
+    AFTER = 12  # 1: the encoder sits beyond the gap or spring
+    DELAY = 13
+    STIFFNESS = 14
+    DAMPING = 15
+    STOP = 16  # angle of an end of travel, inf for none; its side is its sign
+    DEFLECTION = 17  # presliding, 0 for none
+    CHANGE_AT = 18  # the time of a sudden change, inf for none
+    EXTERNAL = 19  # torque of the lab's furniture on the shaft
+    ANGLE_ZERO = 20  # the encoder's count at power-on
+    FAST = 21  # 1: bridge open between the pulses
+    SHARE_LOST = 22
+    FRACTION = 23
+
+
+FIRST_EFFECT = 24
