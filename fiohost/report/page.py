@@ -73,6 +73,7 @@ def render(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["number"] = words.number
+    environment.filters["share"] = words.share
     environment.filters["effect"] = words.effect_words
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     logs = list(diagnosis.get("logs") or [])

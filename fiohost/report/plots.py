@@ -17,10 +17,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fiohost.errors import LogError
 from fiohost.report.series import Array, CurvePlot, SeriesPlot
-from fiohost.report.words import effect_words
+from fiohost.report.words import effect_words, share
 
 # Okabe and Ito's palette, told apart in all common kinds of colour blindness and in print by line style
 MEASURED, BEFORE, AFTER, FLOOR, GREY = "#000000", "#D55E00", "#0072B2", "#009E73", "#7A7A7A"
@@ -35,6 +36,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#E4E4E4",
     "grid.linewidth": 0.7,
     "legend.frameon": False,
@@ -80,7 +82,9 @@ def plot_series(series: SeriesPlot) -> Figure:
         axes = rows[-1]
         axes.step(series.time_s, series.duty_pct, where="post", color=GREY, linewidth=1.0)
         axes.set_ylabel("duty (%)")
-        axes.margins(y=0.12)
+        low, high = float(np.min(series.duty_pct, initial=0.0)), float(np.max(series.duty_pct, initial=0.0))
+        room = 0.1 * (high - low) or 1.0
+        axes.set_ylim(low - room, high + room)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set_xlabel("time (s)")
@@ -128,7 +132,7 @@ def plot_candidates(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[st
     axes.set_yticks(y, [effect_words(str(c.get("effect"))) for c in ranked])
     for position, score, mark in zip(y, scores, taken, strict=True):
         axes.annotate(
-            f" {score:.3g}" + ("  chosen" if mark else ""), (max(score, 0.0), position), va="center", fontsize=9
+            f" {share(score)}" + ("  chosen" if mark else ""), (max(score, 0.0), position), va="center", fontsize=9
         )
     axes.margins(x=0.16)
     axes.set_xlabel("score: share of the residual that the candidate takes (larger is more)")
@@ -189,7 +193,7 @@ def save_plots(
         chosen = [str(step.get("effect")) for step in diagnosis.get("steps") or []]
         pictures.append(("candidates", plot_candidates(candidates, chosen)))
     pictures += [(f"log_{i:02d}_{s.title}", plot_series(s)) for i, s in enumerate(series, start=1)]
-    pictures += [(f"curve_{i:02d}_{c.title}", plot_curve(c)) for i, c in enumerate(curves, start=1)]
+    pictures += [(f"curve_{i:02d}_{c.title.partition(':')[0]}", plot_curve(c)) for i, c in enumerate(curves, start=1)]
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -233,7 +237,12 @@ def _log_axis(axes: Axes, values: Array) -> None:
     if positive.size:
         axes.set_xscale("log")
         low, high = positive.min() / 1.6, positive.max() * 1.6
-        axes.set_xlim(min(low, high / 10.0), high)  # a decade at least, so that the axis has labels
+        low = min(low, high / 10.0)
+        axes.set_xlim(low, high)
+        few = high / low < 300.0
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _thin(time_s: Array, values: Array) -> Array | Any:

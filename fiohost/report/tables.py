@@ -14,7 +14,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from fiohost.report.words import effect_words, error_of, interval, listed, number, remark, verdict_sentence
+from fiohost.report.words import effect_words, error_of, interval, listed, number, remark, share, verdict_sentence
 
 CANDIDATES_SHOWN = 8
 FILE_WIDTH = 132  # columns where the text goes to a file or pipe, which has no edge
@@ -30,10 +30,13 @@ def print_diagnosis(console: Console, diagnosis: Mapping[str, Any]) -> None:
         tables.insert(1, log_table(diagnosis))
     if diagnosis.get("candidates"):
         tables.append(candidate_table(diagnosis))
-    width = None if console.is_terminal else max(console.width, FILE_WIDTH)
+    width = console.width
+    if not console.is_terminal:
+        console.width = max(width, FILE_WIDTH)
     for table in tables:
-        console.print(table, width=width, crop=False)
+        console.print(table)
         console.print()
+    console.width = width
     upcoming = diagnosis.get("next_experiment")
     if upcoming:
         console.print(Text.assemble(("Next experiment: ", "bold"), f"{upcoming.get('experiment')}"))
@@ -121,7 +124,7 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> Table:
         if name in chosen:
             rivals = [effect_words(str(r)) for r in chosen[name].get("indistinguishable_from") or []]
             reason = "chosen" + (f"; these data cannot tell it from {listed(rivals, 'or')}" if rivals else "")
-        table.add_row(Text(name), number(candidate.get("score"), 3), Text(reason))
+        table.add_row(Text(name), share(candidate.get("score")), Text(reason))
     return table
 
 

@@ -50,6 +50,12 @@ def with_unit(value: Any, unit: str, digits: int = 3) -> str:
     return text if text == DASH or not unit else f"{text} {unit}"
 
 
+def share(value: Any) -> str:
+    """A score or share with three decimals; what is smaller is 0."""
+    text = number(value)
+    return text if text == DASH else f"{value:.3f}".replace("-0.000", "0.000")
+
+
 def interval(parameter: Mapping[str, Any], digits: int = 4) -> str:
     """The 95 % interval of one parameter, ``[lo, hi]``, or a dash."""
     bounds = parameter.get("ci95")
