@@ -138,8 +138,10 @@ class Bench:
             ending = str(exc) if isinstance(exc, Stopped) else f"stopped: {type(exc).__name__}: {exc}"
             try:
                 writer.close(ending, self.statistics.describe())
+                if writer.path is not None:
+                    exc.add_note(f"the log {writer.path} is closed with its {writer.rows} rows")
             except LogError as failed:
-                exc.add_note(f"The log: {failed}.")
+                exc.add_note(str(failed))
             raise
         writer.close(ending, self.statistics.describe())
         return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
@@ -177,12 +179,14 @@ class Bench:
         unwrap = Unwrapper(self.counts_per_rev).update
         deg = 360.0 / self.counts_per_rev
         limit = self.profile.limit_duty_pct
-        real, begin = self.clock.real, self.clock.now_s()
+        real, begin = self.clock.real, 0.0
         k = 0
         while True:
             if stop.requested:
                 stop.check()
             direction, pos = self._receive()
+            if real and k == 0:
+                begin = self.clock.now_s()
             angle = unwrap(pos) * deg
             answer = step(k, angle)
             if answer is None:
@@ -237,7 +241,7 @@ class Bench:
             try:
                 self._brake()
             except FiohostError as failed:
-                exc.add_note(f"The brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING.")
+                exc.add_note(f"the brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING")
             raise
         self._brake()
 

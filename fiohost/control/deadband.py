@@ -31,8 +31,6 @@ class DeadbandCompensator:
 
     def apply(self, duty_pct: float) -> float:
         """The command that reaches the motor as *duty_pct* behind its deadband, in percent; not yet limited."""
-        if duty_pct > self.threshold_pct:
-            return duty_pct + self.u_plus_pct
-        if duty_pct < -self.threshold_pct:
-            return duty_pct + self.u_minus_pct
-        return 0.0
+        if -self.threshold_pct <= duty_pct <= self.threshold_pct:
+            return 0.0
+        return duty_pct + (self.u_plus_pct if duty_pct > 0.0 else self.u_minus_pct)  # NaN stays NaN

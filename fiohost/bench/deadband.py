@@ -1,0 +1,229 @@
+"""The deadband sweep: at which duty the shaft starts from rest, in both directions, over several repeats.
+
+Each repeat ramps the duty up from rest until the shaft moves. Movement is more than one count (a shaft at the edge of
+a count flickers by one) that goes on to CONFIRM_COUNTS; a shaft that creeps a little and stops again has not started.
+The start itself is earlier than the first count seen: behind Coulomb friction a ramp of duty moves the shaft as the
+square of time, so the square root of the counts is a straight line whose zero is the start.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fiohost.bench.log import Log
+from fiohost.bench.loop import Bench
+from fiohost.bench.program import Answer
+from fiohost.errors import ConfigError, DataError
+from fiohost.wire.messages import Command
+
+CONFIRM_COUNTS = 10
+CREEP_S = 2.0  # a movement that takes longer than this to be confirmed is creep, not a start
+COARSE_PCT_PER_S = 10.0
+FINE_PCT_PER_S = 1.0
+TURN_DEG = {True: 137.5, False: 60.0}  # between repeats; what remains, 77.5, spreads the starts over the turn
+TURN_LIMIT_S = 3.0
+
+
+@dataclass(frozen=True)
+class Onset:
+    """One start from rest. Series of shape (n,): seconds, percent as acting at that time, degrees from rest."""
+
+    forward: bool
+    duty_pct: float  # signed
+    at_angle_deg: float  # of the shaft at rest, 0..360, POS/2
+    onset_s: float
+    time_s: NDArray[np.float64]
+    duty_acting_pct: NDArray[np.float64]
+    moved_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deadband:
+    """All starts of a sweep, in the order they were made."""
+
+    onsets: tuple[Onset, ...]
+
+    def duties(self, forward: bool) -> list[float]:
+        return [o.duty_pct for o in self.onsets if o.forward == forward]
+
+    @property
+    def u_plus_pct(self) -> float:
+        """Mean duty at which the shaft starts forward, > 0."""
+        return statistics.fmean(self.duties(True))
+
+    @property
+    def u_minus_pct(self) -> float:
+        """Mean duty at which the shaft starts in reverse, < 0."""
+        return statistics.fmean(self.duties(False))
+
+    def spread_pct(self, forward: bool) -> float:
+        """Standard deviation over the repeats; 0 for a single one."""
+        found = self.duties(forward)
+        return statistics.stdev(found) if len(found) > 1 else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for JSON."""
+        sides: dict[str, Any] = {}
+        for side, forward in (("u_plus", True), ("u_minus", False)):
+            found = self.duties(forward)
+            sides |= {
+                f"{side}_pct": statistics.fmean(found),
+                f"{side}_spread_pct": self.spread_pct(forward),
+                f"{side}_range_pct": [min(found), max(found)],
+            }
+        repeats = [
+            {
+                "direction": "forward" if o.forward else "reverse",
+                "onset_duty_pct": o.duty_pct,
+                "at_angle_deg": o.at_angle_deg,
+                "onset_s": o.onset_s,
+            }
+            for o in self.onsets
+        ]
+        return {"schema": "fiohost.deadband/1", **sides, "repeats": repeats}
+
+
+def measure_deadband(
+    bench: Bench,
+    repeats: int = 5,
+    max_pct: float = 100.0,
+    progress: Callable[[Onset], None] | None = None,
+) -> Deadband:
+    """Sweep both directions *repeats* times. Raises DataError where the shaft does not start or turns the wrong way."""
+    if repeats < 1 or not 1.0 <= max_pct <= 100.0:
+        raise ConfigError("a deadband sweep needs at least one repeat and a largest duty of 1 to 100 %")
+    begin = {forward: _coarse(bench, forward, max_pct) for forward in (True, False)}
+    onsets = []
+    for _ in range(repeats):
+        for forward in (True, False):
+            _turn_on(bench, forward, begin[forward], max_pct)
+            onset = _ramp(bench, forward, begin[forward], FINE_PCT_PER_S, max_pct)
+            if onset.onset_s < 0.2 and begin[forward] > 0.0:  # it moved at once: here it starts below our beginning
+                begin[forward] = 0.0
+                onset = _ramp(bench, forward, 0.0, FINE_PCT_PER_S, max_pct)
+            onsets.append(onset)
+            if progress is not None:
+                progress(onset)
+    return Deadband(tuple(onsets))
+
+
+def _coarse(bench: Bench, forward: bool, max_pct: float) -> float:
+    """Where a slow ramp may begin: well below the duty at which a fast one starts the shaft."""
+    found = abs(_ramp(bench, forward, 0.0, COARSE_PCT_PER_S, max_pct).duty_pct)
+    return max(0.0, 0.7 * found - 1.0)
+
+
+def _turn_on(bench: Bench, forward: bool, begin_pct: float, max_pct: float) -> None:
+    """Turn the shaft on in the direction of the sweep: the gears lie against their play, at another angle."""
+    duty_pct = min(max_pct, 1.5 * begin_pct + 12.0)
+    command = Command.drive(duty_pct if forward else -duty_pct)
+    bench.play(_TurnBy(command, TURN_DEG[forward], round(TURN_LIMIT_S / bench.sample_time_s)))
+
+
+class _TurnBy:
+    """One command until the shaft has turned by an angle, or for so many ticks."""
+
+    def __init__(self, command: Command, angle_deg: float, ticks: int) -> None:
+        self._command, self._angle_deg, self._ticks = command, angle_deg, ticks
+        self._begin_deg: float | None = None
+
+    def step(self, k: int, angle_deg: float) -> Answer | None:
+        if self._begin_deg is None:
+            self._begin_deg = angle_deg
+        done = abs(angle_deg - self._begin_deg) >= self._angle_deg or k >= self._ticks
+        return None if done else (self._command, None)
+
+
+def _ramp(bench: Bench, forward: bool, begin_pct: float, rate_pct_per_s: float, max_pct: float) -> Onset:
+    program = _RampUp(bench, forward, begin_pct, rate_pct_per_s, max_pct)
+    log = bench.play(program)
+    way = "forward" if forward else "in reverse"
+    if program.wrong_way:
+        raise DataError(
+            f"the shaft turns against the duty when driven {way}: swap the motor's wires or the encoder's channels, "
+            "or take the load off that turns it"
+        )
+    if not program.started:
+        raise DataError(
+            f"the shaft does not start {way} up to {max_pct:g} %: check the supply, the wiring and the pull-ups of "
+            "C3 and C4 (without them the motor coasts in every setting)"
+        )
+    return _onset(log, program, forward)
+
+
+class _RampUp:
+    """Duty from ``begin`` upwards at a constant rate until the shaft has surely started."""
+
+    def __init__(self, bench: Bench, forward: bool, begin_pct: float, rate_pct_per_s: float, max_pct: float) -> None:
+        self._sign = 1.0 if forward else -1.0
+        self._begin = begin_pct
+        self._per_tick = rate_pct_per_s * bench.sample_time_s
+        self._max = max_pct
+        self._counts = bench.counts_per_rev / 360.0
+        self._creep_ticks = round(CREEP_S / bench.sample_time_s)
+        self._rest_deg: float | None = None
+        self._moving_since: int | None = None
+        self.rest_tick = 0
+        self.started = self.wrong_way = False
+
+    def step(self, k: int, angle_deg: float) -> Answer | None:
+        if self._rest_deg is None:
+            self._rest_deg = angle_deg
+        moved = round(self._sign * (angle_deg - self._rest_deg) * self._counts)
+        if moved <= -CONFIRM_COUNTS:
+            self.wrong_way = True
+            return None
+        if moved >= CONFIRM_COUNTS:
+            self.started = True
+            return None
+        if moved <= 1:
+            self._moving_since = None
+        elif self._moving_since is None:
+            self._moving_since = k
+        elif k - self._moving_since > self._creep_ticks:
+            self._rest_deg, self._moving_since, self.rest_tick = angle_deg, None, k
+        duty_pct = self._begin + self._per_tick * k
+        if duty_pct > self._max:
+            return None
+        return Command.drive(self._sign * duty_pct), None
+
+
+def _onset(log: Log, program: _RampUp, forward: bool) -> Onset:
+    sign = 1.0 if forward else -1.0
+    time_s = log.time_s
+    moved_deg = log.output - log.output[program.rest_tick]
+    counts = np.rint(sign * moved_deg / log.output_quantum)
+    acting = np.interp(time_s - log.command_delay_ticks * log.sample_time_s, time_s, log.duty_pct)
+    onset_s = _start_time(time_s[program.rest_tick :], counts[program.rest_tick :])
+    first = int(np.argmax(np.abs(acting) > 0.0))  # before it no duty acts at all
+    onset_s = max(onset_s, float(time_s[first]))
+    return Onset(
+        forward=forward,
+        duty_pct=float(np.interp(onset_s, time_s, acting)),
+        at_angle_deg=float(log.output[program.rest_tick] % 360.0),
+        onset_s=onset_s,
+        time_s=time_s,
+        duty_acting_pct=acting,
+        moved_deg=moved_deg,
+    )
+
+
+def _start_time(time_s: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
+    """Time at which the shaft started, from the times at which it reached 2, 3, .. counts for good."""
+    largest = int(counts.max())
+    reached: Sequence[int] = range(2, largest + 1)
+    edges = np.array([time_s[int(np.flatnonzero(counts < n)[-1]) + 1] for n in reached if counts[-1] >= n])
+    first = float(time_s[int(np.flatnonzero(counts <= 0)[-1])]) if np.any(counts <= 0) else float(time_s[0])
+    if edges.size < 4:
+        return first
+    roots = np.sqrt(np.arange(2, 2 + edges.size) - 0.5)  # the shaft rested somewhere within its count
+    slope, at_zero = np.polyfit(edges, roots, 1)
+    if not slope > 0.0:
+        return first
+    return float(np.clip(-at_zero / slope, time_s[0], first))

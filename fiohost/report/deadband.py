@@ -1,0 +1,55 @@
+"""The deadband sweep as a picture: duty and angle against time for every repeat, the start marked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fiohost.bench.deadband import Deadband
+from fiohost.errors import FiohostError
+from fiohost.report.plots import AFTER, BEFORE, STYLE
+
+
+@matplotlib.rc_context(STYLE)
+def plot_deadband(deadband: Deadband, target: str) -> Figure:
+    """Forward on the left, reverse on the right; above the duty acting at the time, below the angle from rest."""
+    figure = Figure(figsize=(9.5, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.subplots(2, 2, sharex="col")
+    for column, forward in enumerate((True, False)):
+        top, bottom = axes[0][column], axes[1][column]
+        color = AFTER if forward else BEFORE
+        found = [o for o in deadband.onsets if o.forward == forward]
+        for i, onset in enumerate(found):
+            top.plot(onset.time_s, onset.duty_acting_pct, color=color, alpha=0.45, linewidth=1.2)
+            bottom.plot(onset.time_s, onset.moved_deg, color=color, alpha=0.7, linewidth=1.2,
+                        label="angle, one line a repeat" if i == 0 else None)  # fmt: skip
+            marked = {"color": "black", "marker": "o", "markersize": 4, "linestyle": "none", "zorder": 5}
+            top.plot([onset.onset_s], [onset.duty_pct], **marked, label="start of each repeat" if i == 0 else None)
+            bottom.plot([onset.onset_s], [0.0], **marked)
+        mean = deadband.u_plus_pct if forward else deadband.u_minus_pct
+        spread = deadband.spread_pct(forward)
+        name = "u+" if forward else "u−"
+        top.axhspan(mean - spread, mean + spread, color="black", alpha=0.10, linewidth=0)
+        label = f"mean {mean:.2f} %, grey ± {spread:.3f} %"
+        top.axhline(mean, color="black", linewidth=1.0, linestyle="--", label=label)
+        top.set_title(f"{'Forward' if forward else 'Reverse'}: {name} = {mean:.2f} % ± {spread:.3f} %")
+        top.set_ylabel("duty acting (%)")
+        bottom.set_ylabel("angle from rest (deg)")
+        bottom.set_xlabel("time since the ramp began (s)")
+        top.legend(loc="best")
+        bottom.legend(loc="upper left" if forward else "lower left")
+    figure.suptitle(f"Deadband of {target}: {len(found)} repeats in each direction", fontsize=12)
+    return figure
+
+
+def save_deadband_plot(deadband: Deadband, target: str, path: str | Path) -> None:
+    """Write the picture; the file's suffix is its format (png, svg, pdf). Raises FiohostError."""
+    try:
+        plot_deadband(deadband, target).savefig(path, dpi=130)
+    except (OSError, ValueError) as exc:
+        raise FiohostError(f"cannot write the plot {path}: {exc}") from exc

@@ -1,0 +1,46 @@
+"""Simulated boards whose line fails on request, and a bench on one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from fiohost.bench.loop import Bench
+from fiohost.transport.profile import TargetProfile
+from fiohost.transport.simulated import SimulatedTransport, plant_board
+
+Receive = Callable[[int, bytes], bytes]
+
+
+class WatchedTransport(SimulatedTransport):
+    """A simulated board that keeps every report sent to it; *on_receive(k, report)* may change or refuse telemetry."""
+
+    def __init__(self, plant: str = "", on_receive: Receive | None = None) -> None:
+        inner = plant_board(plant)
+        super().__init__(inner._step, "sim", "simulated", inner.facts)
+        self.sent: list[bytes] = []
+        self.received = 0
+        self._on_receive = on_receive
+
+    def send(self, report: bytes) -> None:
+        super().send(report)
+        self.sent.append(report)
+
+    def receive(self, timeout_s: float) -> bytes:
+        report = super().receive(timeout_s)
+        self.received += 1
+        return self._on_receive(self.received, report) if self._on_receive else report
+
+    @property
+    def braked(self) -> bool:
+        """The last report sent says brake: duty 0, C3 C4 = 1 1."""
+        return self.sent[-1][:6] == bytes.fromhex("00 00 00 00 01 01")
+
+
+def bench_on(transport: SimulatedTransport) -> Bench:
+    return Bench(transport, TargetProfile.load())
+
+
+def rows_of(path: Path) -> list[str]:
+    """Data rows of a log as text."""
+    return [line for line in path.read_text().splitlines() if line[:1].isdigit()]

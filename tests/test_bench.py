@@ -1,0 +1,389 @@
+"""The bench: what it records, when its commands act, and that every way out of a run leaves the motor braked."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import WatchedTransport, bench_on, rows_of
+
+from fiohost.bench.connect import connect
+from fiohost.bench.experiment import ControlSettings, Experiment
+from fiohost.bench.log import BRAKE, DRIVE, Log
+from fiohost.bench.loop import Tick
+from fiohost.bench.program import Answer
+from fiohost.bench.seal import find_seed
+from fiohost.bench.signals import Constant, Pulses, Square, Staircase
+from fiohost.bench.stop import Stopped
+from fiohost.errors import (
+    ConfigError,
+    DisconnectedError,
+    FiohostError,
+    LimitError,
+    LogError,
+    ReportError,
+    TelemetryTimeoutError,
+)
+from fiohost.wire.messages import Command
+
+STAIRS = Experiment("stairs", [Staircase(levels=(30.0, -30.0, 0.0), step_s=0.5, duration_s=3.0)])
+SQUARE = Experiment(
+    "square",
+    reference=[Square(low=170.0, high=190.0, period_s=2.0, duration_s=6.0)],
+    control=ControlSettings(u_plus_pct=2.0, u_minus_pct=-2.0),
+)
+
+
+# ---- what is recorded ----------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_logged_tick_by_tick_with_what_the_contract_asks_for(tmp_path: Path) -> None:
+    with connect("sim") as bench:
+        log = bench.run(STAIRS, tmp_path / "run.csv")
+    assert log.dropped == ()
+    assert len(log) == 600
+    np.testing.assert_allclose(log.time_s, 0.005 * np.arange(600), atol=1e-12)
+    assert set(np.unique(log.duty_pct)) == {-30.0, 0.0, 30.0}
+    np.testing.assert_array_equal(log.mode, np.where(log.duty_pct == 0.0, BRAKE, DRIVE))
+    np.testing.assert_array_equal(log.columns["c3"], log.duty_pct >= 0)
+    np.testing.assert_array_equal(log.columns["c4"], log.duty_pct <= 0)
+    np.testing.assert_array_equal(log.output, log.columns["angle_deg"])
+    wanted = {"schema", "target", "serial_number", "experiment", "sample_time_s", "command_delay_ticks",
+              "counts_per_rev", "full_scale", "full_scale_unit", "supply_V", "host_version", "start_time",
+              "tick_statistics", "plant", "run_id", "ending"}  # fmt: skip
+    assert wanted <= set(log.metadata)
+    assert (log.metadata["ending"], log.command_delay_ticks, log.counts_per_rev) == ("complete", 1, 720)
+    assert list(log.columns) == ["time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg"]
+
+
+def test_the_command_of_a_row_acts_one_tick_after_its_encoder_reading() -> None:
+    with connect("sim:ideal") as bench:
+        log = bench.run(Experiment("kick", [Constant(level=100.0, duration_s=0.2)]))
+    # 100 % accelerates the ideal plant at 10,200 deg/s^2, so the half count to the next edge takes 7 ms. Acting from
+    # tick 1 on (5 ms), it is seen at tick 3; had it acted at once, at tick 2; a tick later, at tick 4.
+    assert log.command_delay_ticks == 1
+    assert int(np.argmax(log.output != log.output[0])) == 3
+
+
+def test_the_controlled_angle_does_not_jump_at_0_and_360_degrees() -> None:
+    across = Experiment(
+        "across",
+        reference=[Square(low=-40.0, high=40.0, period_s=2.0, duration_s=4.0)],
+        control=ControlSettings(u_plus_pct=2.0, u_minus_pct=-2.0),
+    )
+    with connect("sim") as bench:
+        log = bench.run(across)
+    assert np.ptp(log.columns["pos"]) > 500  # the raw count does jump
+    assert np.abs(np.diff(log.output)).max() < 10.0
+    assert np.abs(log.output - log.columns["ref_deg"])[-50:].max() < 5.0
+
+
+def test_the_shaft_follows_the_square_wave_of_the_lab() -> None:
+    with connect("sim") as bench:
+        log = bench.run(SQUARE)
+    ref = log.columns["ref_deg"]
+    settled = np.flatnonzero(np.diff(ref) != 0)
+    assert np.abs(log.output[settled] - ref[settled]).max() < 4.0
+    assert log.metadata["kp_pct_per_deg"] == "1"
+
+
+def test_each_run_begins_at_rest_braked_with_its_own_time(tmp_path: Path) -> None:
+    board = WatchedTransport()
+    with bench_on(board) as bench:
+        first = bench.drive(80.0, 0.5)
+        second = bench.run(STAIRS)
+    assert first.time_s[0] == second.time_s[0] == 0.0
+    np.testing.assert_array_equal(second.output[:3], second.output[0])
+    assert first.metadata["run_id"] == second.metadata["run_id"]
+
+
+def test_lock_step_gives_the_same_data_in_real_and_in_virtual_time() -> None:
+    short = Experiment("short", [Pulses(levels=(60.0, -60.0), on_s=0.1, off_s=0.05, rest="standby", duration_s=0.3)])
+    logs = []
+    for realtime in (False, True):
+        start = time.monotonic()
+        with connect("sim", realtime=realtime) as bench:
+            logs.append(bench.run(short))
+        took = time.monotonic() - start
+        assert (took >= 0.3) == realtime
+    for name in ("time_s", "duty_pct", "pos", "c3", "c4"):
+        np.testing.assert_array_equal(logs[0].columns[name], logs[1].columns[name])
+    assert "virtual" in logs[0].metadata["tick_statistics"]
+    assert "lateness" in logs[1].metadata["tick_statistics"]
+    assert "host_time_s" in logs[1].columns
+
+
+def test_progress_is_told_at_its_interval() -> None:
+    seen: list[Tick] = []
+    with connect("sim") as bench:
+        bench.run(STAIRS, progress=seen.append, progress_every_s=0.5)
+    assert [round(t.time_s, 6) for t in seen] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+
+
+def test_the_loop_is_much_faster_than_real_time() -> None:
+    with connect("sim") as bench:
+        bench.run(STAIRS)
+        start = time.perf_counter()
+        log = bench.drive(40.0, 20.0)
+        took = time.perf_counter() - start
+    assert len(log) == 4000
+    assert took < 2.0  # ten times real time, on any machine; idle it is some hundred times
+
+
+# ---- every way out brakes ------------------------------------------------------------------------------------------
+
+
+class FailingController:
+    """A program that drives, and fails at tick 100 in the way it is told."""
+
+    def __init__(self, failure: BaseException | Command) -> None:
+        self.failure = failure
+
+    def step(self, k: int, angle_deg: float) -> Answer:
+        if k == 100:
+            if isinstance(self.failure, BaseException):
+                raise self.failure
+            return self.failure, None
+        return Command.drive(50.0), None
+
+
+def test_an_exception_in_a_controller_brakes_first_and_leaves_a_whole_log(tmp_path: Path) -> None:
+    board, path = WatchedTransport(), tmp_path / "run.csv"
+    bench = bench_on(board)
+    with pytest.raises(ZeroDivisionError) as caught:
+        bench.play(FailingController(ZeroDivisionError("division by zero")), path)
+    assert board.braked
+    log = Log.read(path)
+    assert len(log) == 100
+    assert log.dropped == ()
+    assert log.metadata["ending"] == "stopped: ZeroDivisionError: division by zero"
+    assert any("100 rows" in note for note in caught.value.__notes__)
+
+
+def test_the_braked_board_really_stops_and_can_be_used_again() -> None:
+    bench = bench_on(WatchedTransport())
+    with pytest.raises(ZeroDivisionError):
+        bench.play(FailingController(ZeroDivisionError()))
+    log = bench.drive(0.0, 0.5)
+    assert np.ptp(log.output) == 0.0
+
+
+@pytest.mark.parametrize("duty_pct", [np.nan, 100.5, -1e9, np.inf])
+def test_a_controller_that_asks_for_nonsense_is_stopped(duty_pct: float, tmp_path: Path) -> None:
+    class Nonsense:
+        def step(self, k: int, angle_deg: float) -> Answer:
+            return Command.drive(duty_pct if k == 20 else 20.0), None
+
+    board = WatchedTransport()
+    with pytest.raises(LimitError, match="cannot be sent"):
+        bench_on(board).play(Nonsense(), tmp_path / "run.csv")
+    assert board.braked
+    assert len(Log.read(tmp_path / "run.csv")) == 20
+
+
+def _pos_beyond_the_turn(k: int, report: bytes) -> bytes:
+    return struct.pack("<BH", 0, 40_000) + report[3:] if k == 60 else report
+
+
+def _short_report(k: int, report: bytes) -> bytes:
+    return report[:17] if k == 60 else report
+
+
+def _silence(k: int, report: bytes) -> bytes:
+    if k == 60:
+        raise TelemetryTimeoutError("no telemetry for 50 ms")
+    return report
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [(_pos_beyond_the_turn, ReportError), (_short_report, ReportError), (_silence, TelemetryTimeoutError)],
+)
+def test_a_bad_report_or_silence_brakes_and_is_named(fault: object, error: type[FiohostError], tmp_path: Path) -> None:
+    board = WatchedTransport(on_receive=fault)  # type: ignore[arg-type]
+    with pytest.raises(error):
+        bench_on(board).drive(50.0, 5.0, tmp_path / "run.csv")
+    assert board.braked
+    log = Log.read(tmp_path / "run.csv")
+    assert 0 < len(log) < 60
+    assert error.__name__ in log.metadata["ending"]
+
+
+def test_a_board_that_went_away_is_said_to_be_perhaps_running(tmp_path: Path) -> None:
+    def unplug(k: int, report: bytes) -> bytes:
+        if k == 60:
+            board.close()
+            raise DisconnectedError("the board was unplugged")
+        return report
+
+    board = WatchedTransport(on_receive=unplug)
+    with pytest.raises(DisconnectedError, match="unplugged") as caught, bench_on(board) as bench:
+        bench.drive(50.0, 5.0, tmp_path / "run.csv")
+    assert any("MOTOR MAY BE RUNNING" in note for note in caught.value.__notes__)
+    assert len(Log.read(tmp_path / "run.csv")) > 0
+
+
+def test_progress_that_fails_brakes_too() -> None:
+    def closed_terminal(tick: Tick) -> None:
+        raise BrokenPipeError
+
+    board = WatchedTransport()
+    with pytest.raises(BrokenPipeError):
+        bench_on(board).drive(50.0, 5.0, progress=closed_terminal)
+    assert board.braked
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_signal_stops_between_two_ticks_and_brakes(name: str, code: int, tmp_path: Path) -> None:
+    board, path = WatchedTransport(), tmp_path / "run.csv"
+
+    def knock(tick: Tick) -> None:
+        if tick.time_s == 1.0:
+            os.kill(os.getpid(), getattr(signal, name))
+
+    before = signal.getsignal(getattr(signal, name))
+    with pytest.raises(Stopped) as caught:
+        bench_on(board).drive(50.0, log_path=path, progress=knock)
+    assert caught.value.exit_code == code
+    assert isinstance(caught.value, KeyboardInterrupt)
+    assert board.braked
+    assert len(Log.read(path)) == 201
+    assert Log.read(path).metadata["ending"].startswith("stopped by")
+    assert signal.getsignal(getattr(signal, name)) is before
+
+
+def test_a_second_ctrl_c_ends_a_controller_that_hangs() -> None:
+    class Hanging:
+        def step(self, k: int, angle_deg: float) -> Answer:
+            while k == 50:
+                time.sleep(0.01)
+            return Command.drive(50.0), None
+
+    def knock() -> None:
+        for _ in range(2):
+            time.sleep(0.3)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    board = WatchedTransport()
+    knocker = threading.Thread(target=knock)
+    knocker.start()
+    with pytest.raises(Stopped):
+        bench_on(board).play(Hanging())
+    knocker.join()
+    assert board.braked
+
+
+def test_leaving_the_bench_brakes() -> None:
+    board = WatchedTransport()
+    with bench_on(board) as bench:
+        bench.transport.send(bench.profile.codec.encode(Command.drive(50.0)))
+    assert board.braked
+
+
+def test_an_unwritable_log_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    board = WatchedTransport()
+    with pytest.raises(LogError, match="nothing was driven"):
+        bench_on(board).run(STAIRS, tmp_path / "no" / "such" / "folder.csv")
+    assert board.sent == []
+
+
+def test_a_full_disk_in_mid_run_brakes_and_keeps_the_rows(tmp_path: Path) -> None:
+    board, path = WatchedTransport(), tmp_path / "run.csv"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, before[1]))
+    try:
+        with pytest.raises(LogError, match="rows are safe in it"):
+            bench_on(board).run(STAIRS, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert board.braked
+    assert len(Log.read(path)) > 50
+
+
+def test_after_kill_9_the_log_holds_every_row_but_the_last(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    command = [sys.executable, "-m", "fiohost.cli.main", "manual", "--pwm", "40", "--log", str(path)]
+    host = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parent.parent)
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and (not path.exists() or len(rows_of(path)) < 50):
+        time.sleep(0.02)
+    host.kill()
+    host.wait()
+    seen = rows_of(path)
+    log = Log.read(path)
+    assert len(log) >= len(seen) - 1 >= 49
+    assert log.metadata["ending"].startswith("unfinished")
+    assert log.metadata["command_delay_ticks"] == "1"
+
+
+# ---- targets -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        ("simm", "did you mean 'sim'"),
+        ("sim:no_such_plant", "no_such_plant"),
+        ("sim:no/such/file.toml", "no/such/file.toml"),
+        ("hid", "not in this version"),
+        ("serial:COM3", "not in this version"),
+        ("", "unknown target"),
+    ],
+)
+def test_an_unknown_target_is_refused_in_one_sentence(target: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        connect(target)
+
+
+def test_an_experiment_for_another_sample_time_is_refused() -> None:
+    slow = Experiment("slow", [Constant(level=10.0, duration_s=1.0)], sample_time_s=0.01)
+    with connect("sim") as bench, pytest.raises(ConfigError, match="every 5 ms"):
+        bench.run(slow)
+
+
+def test_the_log_of_a_sealed_board_gives_nothing_away_and_can_be_unsealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    texts = []
+    for i in range(2):
+        with connect("sim:sealed", seed=987654321) as bench:
+            path = tmp_path / f"sealed{i}.csv"
+            bench.run(STAIRS, path)
+        texts.append(path.read_text())
+        assert find_seed(str(path)) == 987654321
+    for text in texts:
+        assert "987654321" not in text
+        assert "plant" not in text
+        assert "supply" not in text
+    logs = [Log.parse(text) for text in texts]
+    np.testing.assert_array_equal(logs[0].output, logs[1].output)
+    same = {key for key in logs[0].metadata if logs[0].metadata[key] == logs[1].metadata[key]}
+    assert "run_id" not in same  # nothing in the head is made from the seed
+    with connect("sim:sealed") as bench:
+        bench.run(STAIRS, tmp_path / "drawn.csv")
+    assert find_seed(str(tmp_path / "drawn.csv")) >= 0
+
+
+def test_a_seal_that_is_not_kept_here_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with connect("sim:sealed", seed=1) as bench:
+        bench.run(STAIRS, tmp_path / "sealed.csv")
+    with connect("sim") as bench:
+        bench.run(STAIRS, tmp_path / "open.csv")
+    with pytest.raises(ConfigError, match="not sealed"):
+        find_seed(str(tmp_path / "open.csv"))
+    with pytest.raises(ConfigError, match="neither a seed"):
+        find_seed("no-such-log.csv")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "elsewhere"))
+    with pytest.raises(ConfigError, match="not kept here"):
+        find_seed(str(tmp_path / "sealed.csv"))
