@@ -8,6 +8,7 @@ square of time, so the square root of the counts is a straight line whose zero i
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,9 @@ from fiohost.wire.messages import Command
 CONFIRM_COUNTS = 10
 CREEP_S = 2.0  # a movement that takes longer than this to be confirmed is creep, not a start
 COARSE_PCT_PER_S = 10.0
-FINE_PCT_PER_S = 1.0
+FINE_PCT_PER_S = 0.5  # the lag of the shaft reads as a start that is later by this times its time constant
+LOADED_PCT = 0.05  # a start below this duty says nothing of friction
+UNEVEN_SHARE = 0.3  # of the largest start: beyond it one number for a direction misleads
 TURN_DEG = {True: 137.5, False: 60.0}  # between repeats; what remains, 77.5, spreads the starts over the turn
 TURN_LIMIT_S = 3.0
 
@@ -67,6 +70,20 @@ class Deadband:
         found = self.duties(forward)
         return statistics.stdev(found) if len(found) > 1 else 0.0
 
+    def notes(self) -> list[str]:
+        """Sentences on what makes a single pair of numbers doubtful."""
+        said = []
+        for forward, way in ((True, "forward"), (False, "in reverse")):
+            found = [abs(duty) for duty in self.duties(forward)]
+            if min(found) < LOADED_PCT:
+                said.append(f"the shaft starts {way} at almost no duty: nothing holds it there, or a load turns it")
+            elif max(found) - min(found) > UNEVEN_SHARE * max(found):
+                said.append(
+                    f"the start {way} differs between places of the turn ({min(found):.2f} to {max(found):.2f} %): "
+                    "a load, cogging or uneven friction; compensate for the smallest"
+                )
+        return said
+
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
         sides: dict[str, Any] = {}
@@ -86,7 +103,7 @@ class Deadband:
             }
             for o in self.onsets
         ]
-        return {"schema": "fiohost.deadband/1", **sides, "repeats": repeats}
+        return {"schema": "fiohost.deadband/1", **sides, "repeats": repeats, "notes": self.notes()}
 
 
 def measure_deadband(
@@ -98,7 +115,7 @@ def measure_deadband(
     """Sweep both directions *repeats* times. Raises DataError where the shaft does not start or turns the wrong way."""
     if repeats < 1 or not 1.0 <= max_pct <= 100.0:
         raise ConfigError("a deadband sweep needs at least one repeat and a largest duty of 1 to 100 %")
-    begin = {forward: _coarse(bench, forward, max_pct) for forward in (True, False)}
+    begin = {forward: _coarse(bench, forward, max_pct) for forward in (True, False)}  # where the slow ramps begin
     onsets = []
     for _ in range(repeats):
         for forward in (True, False):
@@ -107,6 +124,7 @@ def measure_deadband(
             if onset.onset_s < 0.2 and begin[forward] > 0.0:  # it moved at once: here it starts below our beginning
                 begin[forward] = 0.0
                 onset = _ramp(bench, forward, 0.0, FINE_PCT_PER_S, max_pct)
+            begin[forward] = min(0.8 * abs(onset.duty_pct), begin[forward] or math.inf)
             onsets.append(onset)
             if progress is not None:
                 progress(onset)

@@ -7,6 +7,7 @@ the log is closed, complete.
 
 from __future__ import annotations
 
+import logging
 import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from fiohost.errors import ConfigError, FiohostError, LimitError, LogError, Tran
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telemetry
+
+logger = logging.getLogger("fiohost.bench")
 
 TELEMETRY_TIMEOUT_S = 0.05
 REST_S = 0.1  # at rest: no count for this long
@@ -72,22 +75,26 @@ class Bench:
         self._due_s = self.clock.now_s()
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
         transport.open()
+        layout = f"{profile.name} (layout {profile.status})"
+        logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
 
     # ---- for users ----------------------------------------------------------------------------------------------
 
     def run(
         self,
-        experiment: Experiment,
+        experiment: Experiment | str,
         log_path: str | Path | None = None,
         *,
         extra_metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,
     ) -> Log:
-        """Run an experiment from rest and return its log; without *log_path* the log stays in memory.
+        """Run an experiment (or the shipped one of that name) from rest; without *log_path* its log stays in memory.
 
         Raises FiohostError where something failed and Stopped on a signal, in both cases after the safe stop.
         """
+        if isinstance(experiment, str):
+            experiment = Experiment.load(experiment)
         if abs(experiment.sample_time_s - self.sample_time_s) > 1e-9:
             raise ConfigError(
                 f"experiment {experiment.name!r} wants ticks of {1e3 * experiment.sample_time_s:g} ms, "
@@ -230,6 +237,8 @@ class Bench:
             last = pos
             if quiet * self.sample_time_s >= REST_S:
                 break
+        settled = "at rest" if quiet * self.sample_time_s >= REST_S else "still moving under brake"
+        logger.info("%s after %.3f s at POS %d", settled, self.statistics.ticks * self.sample_time_s, last)
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
 
     @contextmanager

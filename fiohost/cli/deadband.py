@@ -61,6 +61,8 @@ def deadband(
         mean = found.u_plus_pct if forward else found.u_minus_pct
         spread = found.spread_pct(forward)
         out(f"{sign}  {mean:7.2f} %   {spread:7.3f} %  {duties[0]:.2f} .. {duties[-1]:.2f} %")
+    for note in found.notes():
+        out(f"note: {note}")
 
     from fiohost.report.deadband import save_deadband_plot
 
