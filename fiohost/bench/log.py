@@ -18,27 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fiohost.bench.head import MAX_LINE_CHARS, OUTPUT_UNITS, check_names, needed_columns, read_head
 from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
 from fiohost.bench.writer import SCHEMA, LogWriter
 from fiohost.errors import LogError
 from fiohost.settings import nearest
+from fiohost.wire.messages import BRAKE, DRIVE, STANDBY
 
 __all__ = ["BRAKE", "DRIVE", "OUTPUT_UNITS", "STANDBY", "Log", "LogWriter"]
 
 FloatArray = NDArray[np.float64]
 
 MAX_LOG_BYTES = 256_000_000
-MAX_METADATA_LINES = 1000
-MAX_LINE_CHARS = 20_000
 MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broken time column, not a gap
 DUTY_TOLERANCE_PCT = 0.01
 DEFAULT_COUNTS_PER_REV = 720
 
-STANDBY, DRIVE, BRAKE = 0, 1, 2
-
-# columns that can be the output, in order of preference, with their units; pos becomes an angle
-OUTPUT_UNITS = {"angle_deg": "deg", "speed_deg_s": "deg/s", "position_m": "m", "speed_m_s": "m/s"}
 _AVERAGES = ("instant", "previous_interval")
 
 
@@ -100,9 +96,9 @@ class Log:
             cut = text.rfind("\n") + 1
             notes.append("the last line, which is cut off in its middle")
             text = text[:cut]
-        metadata, names, start, first_line = _head(text, path)
-        _check_names(names, path)
-        table = parse_rows(text[start:], names, _needed(names), first_line, str(path))
+        metadata, names, start, first_line = read_head(text, path)
+        check_names(names, path)
+        table = parse_rows(text[start:], names, needed_columns(names), first_line, str(path))
         notes += table.notes
         return cls._checked(metadata, table.columns, path, sha256, notes)
 
@@ -114,7 +110,7 @@ class Log:
         arrays = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
         if len({a.shape for a in arrays.values()}) > 1 or any(a.ndim != 1 for a in arrays.values()):
             raise LogError(f"{path}: the columns of a log are arrays of one length")
-        _check_names(list(arrays), Path(path))
+        check_names(list(arrays), Path(path))
         digest = hashlib.sha256(repr(sorted((metadata or {}).items())).encode())
         for name in sorted(arrays):
             digest.update(name.encode() + arrays[name].tobytes())
@@ -124,7 +120,7 @@ class Log:
     def _checked(
         cls, metadata: dict[str, str], columns: dict[str, FloatArray], path: Path, sha256: str, notes: list[str]
     ) -> Log:
-        needed = [columns[name] for name in _needed(list(columns))]
+        needed = [columns[name] for name in needed_columns(list(columns))]
         whole = np.all(np.isfinite(needed), axis=0)
         if not np.all(whole):
             first = int(np.argmin(whole))
@@ -236,6 +232,16 @@ class Log:
         return int(self._number("counts_per_rev", DEFAULT_COUNTS_PER_REV, low=1.0, high=1e9, whole=True))
 
     @property
+    def duty_steps(self) -> int:
+        """Timer counts of a PWM period, to which the target truncates each command; 0 where it is not known."""
+        return int(self._number("duty_steps", 0.0, low=0.0, high=1e10, whole=True))
+
+    @property
+    def begins_at_rest(self) -> bool:
+        """True where the bench waited for the shaft to stand still before the first row."""
+        return self.metadata.get("begins", "") == "at rest"
+
+    @property
     def pos_reset(self) -> bool:
         """True where the zero of POS is not the one of the bench's other logs."""
         return self.metadata.get("pos_reset", "false").strip().lower() in ("true", "1", "yes")
@@ -306,41 +312,3 @@ class Log:
             row = int(np.argmax(bad))
             kind = "a whole number in " if whole else "in "
             raise LogError(f"{self.path}: {name} = {values[row]:g} in row {row + 1} is not {kind}{low:g}..{high:g}")
-
-
-def _needed(names: list[str]) -> list[str]:
-    """Columns without which a row cannot be used."""
-    output = "pos" if "pos" in names else next((n for n in OUTPUT_UNITS if n in names), None)
-    return [n for n in ("time_s", "duty_pct", "c3", "c4", output) if n is not None and n in names]
-
-
-def _head(text: str, path: Path) -> tuple[dict[str, str], list[str], int, int]:
-    """Metadata, column names, where the rows start in the text, and the line number of the first row."""
-    metadata: dict[str, str] = {}
-    position = 0
-    for number in range(1, MAX_METADATA_LINES + 2):
-        end = text.find("\n", position)
-        if end < 0:
-            raise LogError(f"the log {path} holds no rows: it ends before its column names")
-        if end - position > MAX_LINE_CHARS:
-            raise LogError(f"{path} is not a log: line {number} is longer than {MAX_LINE_CHARS} characters")
-        line = text[position:end].strip()
-        position = end + 1
-        if line.startswith("#"):
-            key, _, value = line.lstrip("# ").partition(":")
-            metadata[key.strip()] = value.strip()
-        elif line:
-            return metadata, [name.strip().strip('"') for name in line.split(",")], position, number + 1
-    raise LogError(f"{path} is not a log: {MAX_METADATA_LINES} lines and no column names")
-
-
-def _check_names(names: list[str], path: Path) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise LogError(f"{path}: column {twice[0]!r} is there twice")
-    hint = "a table of another shape becomes a log by: fiohost import TABLE --map MAP -o LOG"
-    for name in ("time_s", "duty_pct"):
-        if name not in names:
-            raise LogError(f"{path} has no column {name!r} (its first: {', '.join(names[:6])[:120]}); {hint}")
-    if "pos" not in names and not any(name in names for name in OUTPUT_UNITS):
-        raise LogError(f"{path} has no output column: pos, {', '.join(OUTPUT_UNITS)}; {hint}")
