@@ -57,8 +57,8 @@ def diagnose(
 ) -> Diagnosis:
     """Name what a declared model lacks, from training logs; held-out logs only report.
 
-    ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the logs
-    and their roles before anything is fitted, ``say`` hears of progress. Raises FiohostError.
+    ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the
+    logs and their roles before anything is fitted, ``say`` hears of progress. Raises FiohostError.
     """
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
@@ -67,8 +67,7 @@ def diagnose(
     names = unique_names([*train, *held])
     records: list[Record] = [record_from_log(log, name) for log, name in zip([*train, *held], names, strict=True)]
     files = {
-        name: {"sha256": log.sha256, "path": str(log.path)}
-        for log, name in zip([*train, *held], names, strict=True)
+        name: {"sha256": log.sha256, "path": str(log.path)} for log, name in zip([*train, *held], names, strict=True)
     }
     return diagnose_records(
         records[: len(train)],

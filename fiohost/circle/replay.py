@@ -17,7 +17,9 @@ from fiohost.motor.model import Model
 
 @dataclass(frozen=True)
 class Replay:
-    """A free run: times and output (n), the initial state estimated on the first second, the figures against the log."""
+    """A free run: times and output (n), the initial state estimated on the first second, the figures against
+    the log.
+    """
 
     time_s: np.ndarray
     output: np.ndarray

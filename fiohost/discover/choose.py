@@ -1,7 +1,7 @@
 """Choosing among candidates: refits from several starts, cross-validation over the training records, ambiguity.
 
-Cross-validation leaves out whole experiments (repeats of one experiment together), fits the rest and looks at the free run
-of what was left out. Held-out records never come here.
+Cross-validation leaves out whole experiments (repeats of one experiment together), fits the rest and looks at the
+free run of what was left out. Held-out records never come here.
 """
 
 from __future__ import annotations
@@ -60,19 +60,36 @@ def slices(record: Record, pieces: int) -> list[Record]:
     return found
 
 
-def folds(records: Sequence[Record], most: int = 6) -> tuple[list[Record], list[list[int]]]:
-    """The records to cross-validate over and the groups to leave out in turn; few records are cut into pieces in time."""
-    groups: list[list[int]] = []
-    grouped = {i for g in repeats(records) for i in g}
-    groups.extend(repeats(records))
-    groups.extend([i] for i in range(len(records)) if i not in grouped)
-    if len(groups) < 3:
-        pieces = [p for r in records for p in slices(r, max(2, min(4, int(r.seconds // 4))))]
-        return pieces, [[i] for i in range(len(pieces))][:12]
+def folds(records: Sequence[Record], horizon_s: float | None, most: int = 6) -> tuple[list[Record], list[list[int]]]:
+    """The records to fit, and the groups of them to leave out in turn.
+
+    With a horizon every record is cut into pieces of about that length. Groups are whole experiments, repeats together;
+    where there are fewer than three, records are cut in time and the pieces are left out.
+    """
+    experiments = [*repeats(records)]
+    grouped = {i for g in experiments for i in g}
+    experiments.extend([i] for i in range(len(records)) if i not in grouped)
+
+    def pieces_of(record: Record) -> int:
+        return 1 if horizon_s is None else max(1, int(record.seconds / horizon_s))
+
+    counts = [pieces_of(r) for r in records]
+    if len(experiments) < 3:
+        counts = [max(n, 2, min(4, int(r.seconds // 4))) for n, r in zip(counts, records, strict=True)]
+    pieces: list[Record] = []
+    where: list[list[int]] = []
+    for record, count in zip(records, counts, strict=True):
+        where.append(list(range(len(pieces), len(pieces) + count)))
+        pieces.extend([record] if count == 1 else slices(record, count))
+    if len(experiments) < 3:
+        parts = [list(part) for w in where for part in np.array_split(np.array(w), min(4, len(w)))]
+        groups = [[int(i) for i in part] for part in parts]
+    else:
+        groups = [[j for i in g for j in where[i]] for g in experiments]
     while len(groups) > most:
-        groups.sort(key=lambda g: sum(len(records[i]) for i in g))
+        groups.sort(key=lambda g: sum(len(pieces[i]) for i in g))
         groups = [groups[0] + groups[1], *groups[2:]]
-    return list(records), groups
+    return pieces, groups
 
 
 @dataclass(frozen=True)
@@ -105,7 +122,9 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
 
 
 def refit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
-    """The base model with one effect added, fitted from the best few of its trials; the best of them is fitted fully."""
+    """The base model with one effect added, fitted from the best few of its trials; the best of them is fitted
+    fully.
+    """
     name = score.effect.name
     starts: list[Model] = []
     for trial in score.trials[:STARTS]:

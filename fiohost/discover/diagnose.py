@@ -15,7 +15,7 @@ import numpy as np
 
 from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, refit, validate
 from fiohost.discover.evidence import Dependence, dependences
-from fiohost.discover.floor import Floor, floors, replica
+from fiohost.discover.floor import Floor, floors, replica, replica_models
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.screen import Screen, candidates, chance_share
 from fiohost.discover.verdict import Excess, at_floor, excesses
@@ -29,6 +29,9 @@ from fiohost.motor.model import Model
 MOST_EFFECTS = 4
 REFITTED = 10
 LEAST_CV_GAIN = 0.01
+# Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
+SHORT_HORIZON_S = 2.0
+SHORT_IS_BETTER = 0.97
 
 Progress = Callable[[str], None]
 
@@ -45,9 +48,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Stage:
-    """A fitted model with its judgements on the training records."""
+    """A fitted model with its judgements on the training records.
+
+    ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
+    """
 
     fit: Fit
+    replica_models: tuple[Model, ...]
     judgements: tuple[Judgement, ...]
     floors: tuple[Floor, ...]
     excesses: tuple[Excess, ...]
@@ -82,6 +89,7 @@ class Diagnosis:
     step_holdout: tuple[tuple[Judgement, ...], ...]
     floor_holdout: tuple[Floor, ...]
     seconds: float
+    horizon_s: float | None = None
     files: dict[str, dict[str, str]] = field(default_factory=dict)
 
     @property
@@ -95,36 +103,47 @@ class Diagnosis:
         return "explained" if self.steps else "no_missing_effect"
 
 
-def _stage(fitted: Fit, records: Sequence[Record], rng: np.random.Generator) -> Stage:
+def _judged(
+    fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator
+) -> Stage:
     judgements = each(lambda r: judge(r, fitted.model), records)
-    found = floors(records, fitted.model, judgements, rng)
+    models = replica_models(fitted, fitted_records, rng)
+    found = floors(records, fitted.model, judgements, models, rng)
     names = [r.name for r in records]
-    return Stage(fitted, tuple(judgements), tuple(found), tuple(excesses(names, judgements, found)))
+    return Stage(fitted, tuple(models), tuple(judgements), tuple(found), tuple(excesses(names, judgements, found)))
 
 
 class _Search:
     """One diagnosis in progress over the training records."""
 
     def __init__(
-        self, records: Sequence[Record], rng: np.random.Generator, library: Sequence[str] | None, say: Progress
+        self,
+        train: Sequence[Record],
+        horizon_s: float | None,
+        rng: np.random.Generator,
+        library: Sequence[str] | None,
+        say: Progress,
     ) -> None:
-        self.records = records
+        self.train = train
         self.rng = rng
         self.library = library
         self.say = say
-        self.cv_records, self.groups = folds(records)
+        self.horizon_s = horizon_s
+        self.records, self.groups = folds(train, horizon_s)
 
     def validate(self, fitted: Fit) -> Validated:
-        return validate(fitted, self.cv_records, self.groups)
+        return validate(fitted, self.records, self.groups)
+
+    def stage(self, fitted: Fit) -> Stage:
+        return _judged(fitted, self.records, self.train, self.rng)
 
     def _chance(self, screen: Screen, scores: list) -> float:  # type: ignore[type-arg]
         def draw(rng: np.random.Generator) -> list[np.ndarray]:
             model = screen.fit.model
-            made = [
+            return [
                 replica(r, model, s, rng) - (r.y - e)
                 for r, s, e in zip(self.records, screen.fit.starts, screen.fit.residuals, strict=True)
             ]
-            return made
 
         sensors = all(r.quantum > 0 for r in self.records)
         return chance_share(screen, scores, draw if sensors else None, self.rng)
@@ -163,7 +182,9 @@ class _Search:
                     validated = None
             found_all.append(Candidate(score.effect.name, share, why, validated))
         found_all += [
-            Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
+            Candidate(
+                s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted"
+            )
             for s in scores[REFITTED:]
         ]
         able = [c for c in found_all if c.validated is not None]
@@ -173,7 +194,9 @@ class _Search:
         evidence: dict[str, object] = {
             "residual_power_removed": winner.score,
             "by_chance": chance,
-            "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost)) if winner.validated else None,
+            "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost))
+            if winner.validated
+            else None,
         }
         return found_all, winner, evidence | {"base_cost": base.cost}
 
@@ -189,7 +212,7 @@ class _Search:
             and c.validated.cost <= best.validated.cost * 1.005
             and indistinguishable(best.validated, c.validated, base.cost)
         ]
-        return min(close, key=lambda c: (len(effect(c.effect).parameters), c.validated.cost if c.validated else 0.0))
+        return min(close, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
 
     def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
         """Names that this data cannot tell from the winner: exact equivalents always, and near ones by validation."""
@@ -214,6 +237,41 @@ class _Search:
         return fitted
 
 
+@dataclass(frozen=True)
+class _Found:
+    """The outcome of one search: the declared stage first, the final one last."""
+
+    stages: tuple[Stage, ...]
+    steps: tuple[Step, ...]
+    offered: tuple[Candidate, ...]
+
+
+def _window_rms(found: _Found) -> float:
+    errors = pool([j.errors for j in found.stages[-1].judgements])
+    return errors.window_rms if errors else 0.0
+
+
+def _search(search: _Search, model: Model, from_file: bool) -> _Found:
+    """Forward selection from a declared model, with deletion after every addition."""
+    stage = declared = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
+    steps: list[Step] = []
+    offered: list[Candidate] = []
+    while not stage.at_floor and len(steps) < MOST_EFFECTS:
+        offered, winner, evidence = search.round(stage)
+        if winner is None or winner.validated is None:
+            break
+        follows = dependences(search.train, stage.fit.model, stage.judgements, search.rng)
+        able = [c for c in offered if c.validated is not None]
+        base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
+        names = search.rivals(winner, able, base_cost)
+        search.say(f"adding {winner.effect}")
+        stage = search.stage(search.prune(winner.validated.fit, model))
+        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
+        steps = [s for s in steps if s.effect in stage.fit.model.effects]
+        steps.append(Step(winner.effect, stage, evidence, names))
+    return _Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
+
+
 def diagnose_records(
     train: Sequence[Record],
     holdout: Sequence[Record],
@@ -227,8 +285,8 @@ def diagnose_records(
 ) -> Diagnosis:
     """Diagnose a declared model on training records; held-out records report only.
 
-    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress. Raises DataError if the
-    records do not share one output or there are none.
+    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress. Raises DataError if
+    the records do not share one output or there are none.
     """
     if not train:
         raise DataError("there is no log to fit")
@@ -237,25 +295,15 @@ def diagnose_records(
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
     began = time.monotonic()
     rng = np.random.default_rng(seed)
-    search = _Search(train, rng, library, say)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
-    declared = _stage(fit_from_scratch(model, train, keep_start=from_file), train, rng)
-    stage, steps = declared, []
-    offered: list[Candidate] = []
-    while not stage.at_floor and len(steps) < MOST_EFFECTS:
-        follows = dependences(train, stage.fit.model, stage.judgements, rng)
-        offered, winner, evidence = search.round(stage)
-        if winner is None or winner.validated is None:
-            break
-        able = [c for c in offered if c.validated is not None]
-        base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
-        names = search.rivals(winner, able, base_cost)
-        say(f"adding {winner.effect}")
-        fitted = search.prune(winner.validated.fit, model)
-        stage = _stage(fitted, train, rng)
-        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
-        steps = [s for s in steps if s.effect in fitted.model.effects]
-        steps.append(Step(winner.effect, stage, evidence, names))
+    found = _search(_Search(train, None, rng, library, say), model, from_file)
+    horizon_s = None
+    if not found.stages[-1].at_floor:
+        say(f"whole runs stay unexplained: looking at pieces of {SHORT_HORIZON_S:g} s")
+        short = _search(_Search(train, SHORT_HORIZON_S, rng, library, say), model, from_file)
+        if _window_rms(short) < SHORT_IS_BETTER * _window_rms(found):
+            found, horizon_s = short, SHORT_HORIZON_S
+    declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.stages[-1]
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
@@ -269,8 +317,9 @@ def diagnose_records(
         before_holdout=tuple(each(lambda r: judge(r, declared.fit.model), holdout)) if holdout else (),
         after_holdout=after,
         step_holdout=tuple(tuple(judge(r, s.stage.fit.model) for r in holdout) for s in steps),
-        floor_holdout=tuple(floors(holdout, final, after, rng)) if holdout else (),
+        floor_holdout=tuple(floors(holdout, final, after, stage.replica_models, rng)) if holdout else (),
         seconds=time.monotonic() - began,
+        horizon_s=horizon_s,
         files=files or {},
     )
 

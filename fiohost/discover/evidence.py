@@ -1,8 +1,9 @@
 """What the residual follows: the missing torque over time, and the variables that explain it.
 
-A deviation of the angle obeys the linear part of the model driven by the torque that the model lacks, so a Kalman smoother
-with that torque as a random walk recovers it from the residual (Kristensen and Madsen's grey box; Rauch, Tung, Striebel
-1965). It is band-limited by the counts: good for loads, gravity, drag and drift, blind to delays and play.
+A deviation of the angle obeys the linear part of the model driven by the torque that the model lacks, so a Kalman
+smoother with that torque as a random walk recovers it from the residual (Kristensen and Madsen's grey box; Rauch,
+Tung, Striebel 1965). It is band-limited by the counts: good for loads, gravity, drag and drift, blind to delays and
+play.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ BINS = 16
 
 @compiled
 def _smooth(e, dt, gain, tau, noise, walk, d, work):  # type: ignore[no-untyped-def]
-    """Forward filter and backward smoother of (angle, speed, torque); ``work`` is (n, 24), ``d`` (n, 2) torque, variance."""
+    """Forward filter and backward smoother of (angle, speed, torque); ``work`` is (n, 24), ``d`` (n, 2) torque,
+    variance.
+    """
     n = e.shape[0]
     x0, x1, x2 = e[0], 0.0, 0.0
     p00, p01, p02, p11, p12, p22 = noise * noise, 0.0, 0.0, (100.0 * gain) ** 2 * 1e-2, 0.0, 25.0
@@ -35,7 +38,7 @@ def _smooth(e, dt, gain, tau, noise, walk, d, work):  # type: ignore[no-untyped-
             # Predict: x = F x, P = F P F' + Q with the walk on the torque.
             y0, y1 = x0 + f01 * x1 + f02 * x2, f11 * x1 + f12 * x2
             g00, g01, g02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
-            g10, g11, g12 = f11 * p01 + f12 * p02, f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            g11, g12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
             q00 = g00 + g01 * f01 + g02 * f02
             q01 = g01 * f11 + g02 * f12
             q11 = g11 * f11 + g12 * f12
@@ -142,7 +145,9 @@ def _variables(record: Record, simulated: np.ndarray) -> dict[str, np.ndarray]:
 def _bins(values: np.ndarray, name: str) -> np.ndarray:
     if name == "speed_sign":
         return np.asarray(values.astype(int) + 1)
-    edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1]) if name != "angle" else np.arange(1, BINS) * 360 / BINS
+    edges = (
+        np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1]) if name != "angle" else np.arange(1, BINS) * 360 / BINS
+    )
     return np.asarray(np.digitize(values, np.unique(edges)))
 
 
@@ -157,8 +162,8 @@ def dependences(
 ) -> list[Dependence]:
     """Which variables the missing torque follows over all angle records, strongest first.
 
-    ``r2`` is the share of the torque's variance about zero explained by its mean in bins of the variable; the chance level is the 99 %
-    point of the same share after circular shifts in time, which keep the torque's colour.
+    ``r2`` is the share of the torque's variance about zero explained by its mean in bins of the variable; the chance
+    level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour.
     """
     parts = [
         (missing_torque(r, model, j.free_residual), _variables(r, j.simulated))
@@ -180,7 +185,10 @@ def dependences(
         chance = []
         for _ in range(SHIFTS):
             shifted = np.concatenate(
-                [np.roll(torque[a:b], rng.integers(b - a)) * rng.choice((-1.0, 1.0)) for a, b in zip(lengths[:-1], lengths[1:], strict=True)]
+                [
+                    np.roll(torque[a:b], rng.integers(b - a)) * rng.choice((-1.0, 1.0))
+                    for a, b in zip(lengths[:-1], lengths[1:], strict=True)
+                ]
             )
             chance.append(_explained(shifted, bins, weight))
         means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in range(bins.max() + 1)])

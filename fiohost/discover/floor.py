@@ -1,4 +1,6 @@
-"""How small the residual could be: replicas of the fitted model through the same sensor, and scatter between repeats."""
+"""How small the residual could be: replicas of the fitted model through the same sensor, and scatter between
+repeats.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
+from fiohost.identify.fit import Fit
 from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import ANGLE, Record
+from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 
-REPLICAS = 24
+REPLICAS = 32
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,9 @@ class Floor:
 
 
 def replica(record: Record, model: Model, start: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    """One draw (n) of what the sensor would have read had the model been true: the angle within its count is unknown."""
+    """One draw (n) of what the sensor would have read had the model been true: the angle within its count is
+    unknown.
+    """
     flat = Flat.of(model)
     theta, omega = start
     shift = rng.uniform(-0.5, 0.5) * record.quantum if record.kind == ANGLE else 0.0
@@ -44,11 +50,44 @@ def _mean(draws: Sequence[Errors]) -> Errors:
     return replace(pooled, samples=draws[0].samples)
 
 
+def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
+    """The model that a fit to a replica would give, by one step: ``noises`` are the replica's residuals, one a record.
+
+    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it.
+    """
+    if not fitted.names:
+        return fitted.model
+    hessian = sum(c.T @ c for c in fitted.jacobians)
+    gradient = sum(c.T @ n for c, n in zip(fitted.jacobians, noises, strict=True))
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
+    values: dict[str, Value] = {}
+    for name, change in zip(fitted.names, step, strict=True):
+        parameter = fitted.model.parameter(name)
+        values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
+    return fitted.model.with_values(values)
+
+
+def replica_models(
+    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, count: int = REPLICAS
+) -> list[Model]:
+    """Models (count) as they would be fitted to replicas of the records that were fitted."""
+    flat = Flat.of(fitted.model)
+    found = []
+    for _ in range(count):
+        noises = [
+            replica(r, fitted.model, s, rng) - free_output(r, flat, *s)
+            for r, s in zip(records, fitted.starts, strict=True)
+        ]
+        found.append(refitted(fitted, noises))
+    return found
+
+
 def replica_floor(
-    record: Record, model: Model, start: tuple[float, float], rng: np.random.Generator, count: int = REPLICAS
+    record: Record, model: Model, start: tuple[float, float], models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
-    """Floor of a record by ``count`` replicas of the model, each judged like the record itself."""
-    draws = tuple(judge(record, model, replica(record, model, start, rng)).errors for _ in range(count))
+    """Floor of a record: replicas of the model from ``start``, each judged by the model that would be fitted to it."""
+    draws = tuple(judge(record, m, replica(record, model, start, rng)).errors for m in models)
     return Floor(_mean(draws), "replicas", draws)
 
 
@@ -88,18 +127,16 @@ def floors(
     records: Sequence[Record],
     model: Model,
     judgements: Sequence[Judgement],
+    models: Sequence[Model],
     rng: np.random.Generator,
-    count: int = REPLICAS,
 ) -> list[Floor]:
-    """Floors of all records; where an experiment was repeated, its scatter counts where it is the larger."""
-    found = [replica_floor(r, model, j.start, rng, count) for r, j in zip(records, judgements, strict=True)]
+    """Floors of records by replicas of a model, as judged by ``models``; the scatter of repeats counts where larger."""
+    found = [replica_floor(r, model, j.start, models, rng) for r, j in zip(records, judgements, strict=True)]
     for group in repeats(records):
         free, windows = scatter(records, group)
         for i in group:
             was = found[i].errors
             if windows > 1.1 * was.window_rms or free > 1.1 * was.free_run_rms:
-                larger = replace(
-                    was, free_run_rms=max(free, was.free_run_rms), window_rms=max(windows, was.window_rms)
-                )
+                larger = replace(was, free_run_rms=max(free, was.free_run_rms), window_rms=max(windows, was.window_rms))
                 found[i] = Floor(larger, "repeats", found[i].draws)
     return found

@@ -67,6 +67,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "schema": "fiohost.diagnosis/1",
         "fiohost_version": __version__,
         "seconds": found.seconds,
+        "fit_horizon_s": found.horizon_s,
         "output_unit": found.train[0].unit,
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
         "verdict": found.verdict,

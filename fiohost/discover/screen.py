@@ -1,7 +1,8 @@
 """Which effects could account for the residual: the score test, one simulation a trial.
 
-The signature of an effect is what adding it at a trial size changes in the free run, with everything that the model's own
-parameters and the initial states could imitate projected out. The share of the residual's power along it is its score.
+The signature of an effect is what adding it at a trial size changes in the free run, with everything that the model's
+own parameters and the initial states could imitate projected out. The share of the residual's power along it is its
+score.
 """
 
 from __future__ import annotations
@@ -95,14 +96,12 @@ def chance_share(
 ) -> float:
     """Share of the residual's power that the best of all candidates reaches by chance, at the given level.
 
-    Two worlds without any missing effect, the larger counts: the residual itself with random signs in blocks of time, which
-    keeps its colour and power, and replicas of the fitted model through the sensor.
+    Two worlds without any missing effect, the larger counts: the residual itself with random signs in blocks of time,
+    which keeps its colour and power, and replicas of the fitted model through the sensor.
     """
     signatures = np.column_stack([s.signature for s in scores])
     lengths = [len(r) for r in screen.records]
-    blocks = np.concatenate(
-        [np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)]
-    )
+    blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
     order = np.flatnonzero(np.diff(blocks, prepend=-1))
     sums = np.add.reduceat(signatures * screen.residual[:, None], order, axis=0)
     signs = rng.choice((-1.0, 1.0), size=(FLIPS, len(sums)))

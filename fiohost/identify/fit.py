@@ -1,8 +1,8 @@
 """Simulation-error fit: Levenberg-Marquardt over all records at once, initial states eliminated record by record.
 
-Two costs share one solver. ``windows`` compares one-second windows whose angle and speed are free: nearly convex, used to
-come close. ``free`` compares whole free runs with each record's initial angle and speed free: an order of magnitude
-sharper, used to finish. Neither ever differentiates the counts.
+Two costs share one solver. ``windows`` compares one-second windows whose angle and speed are free: nearly convex,
+used to come close. ``free`` compares whole free runs with each record's initial angle and speed free: an order of
+magnitude sharper, used to finish. Neither ever differentiates the counts.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class _Problem:
         theta, omega = point.starts[index]
         if self.windows:
             return window_residuals(record, flat, free_states(record, flat, theta, omega))
-        return record.y - free_output(record, flat, theta, omega)
+        return np.asarray(record.y - free_output(record, flat, theta, omega))
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
         return [self.residual(r, point, i, point.p) for i, r in enumerate(self.records)]
@@ -272,7 +272,9 @@ def best_of(candidates: Sequence[Model], run: Callable[[Model], Fit]) -> Fit:
 
 
 def first_guess(model: Model, records: Sequence[Record]) -> Model:
-    """Start values of gain and lag from the data: speed over duty at strong commands; the lag is left to several starts."""
+    """Start values of gain and lag from the data: speed over duty at strong commands; the lag is left to
+    several starts.
+    """
     ratios: list[float] = []
     for record in records:
         times = record.excitation.times_s

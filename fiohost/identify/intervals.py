@@ -1,8 +1,8 @@
 """Intervals that hold under coloured residuals: the sandwich estimator with gradients summed over blocks of time.
 
-Count noise and what a model lacks are both strongly correlated in time; the textbook covariance, which takes every sample
-as independent, is too small by an order of magnitude. Summing the gradient over blocks lets the data say how much the
-blocks really differ (Liang and Zeger 1986; White 1980).
+Count noise and what a model lacks are both strongly correlated in time; the textbook covariance, which takes every
+sample as independent, is too small by an order of magnitude. Summing the gradient over blocks lets the data say how
+much the blocks really differ (Liang and Zeger 1986; White 1980).
 """
 
 from __future__ import annotations

@@ -95,9 +95,10 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> tu
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """Measured minus simulated (n) with angle and speed free in each one-second window, other states from ``states``."""
+    """Measured minus simulated (n) with angle and speed free in each one-second window, other states from
+    ``states``.
+    """
     data = record.y if y is None else y
     bases = np.ascontiguousarray(states[record.windows[:-1]])
     residuals, _, _ = _fit(record, flat, data, record.windows, bases, True)
     return np.asarray(residuals)
-

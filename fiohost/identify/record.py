@@ -23,8 +23,9 @@ BRAKE = 2
 class Record:
     """One log as evidence.
 
-    ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED`` (over the
-    interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown). ``at_rest`` says that the shaft stands still at the first sample.
+    ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED``
+    (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown).
+    ``at_rest`` says that the shaft stands still at the first sample.
     """
 
     name: str
@@ -36,7 +37,6 @@ class Record:
     sample_time_s: float
     at_rest: bool
     rotary: bool
-    repeat_of: str = ""
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __len__(self) -> int:
@@ -53,7 +53,9 @@ class Record:
 
 
 def cut_windows(times_s: np.ndarray, length_s: float = 1.0) -> np.ndarray:
-    """Boundaries (m + 1) of consecutive windows of one length; a last piece under half a window joins the one before."""
+    """Boundaries (m + 1) of consecutive windows of one length; a last piece under half a window joins the one
+    before.
+    """
     marks = np.arange(times_s[0], times_s[-1] + length_s, length_s)
     edges = np.unique(np.concatenate((np.searchsorted(times_s, marks - 1e-9), [len(times_s)])))
     if len(edges) > 2 and times_s[-1] - times_s[edges[-2]] < 0.5 * length_s:
@@ -74,21 +76,23 @@ def make_record(
     sample_time_s: float | None = None,
     command_delay_s: float = 0.0,
     rotary: bool = True,
-    repeat_of: str = "",
+    at_rest: bool | None = None,
 ) -> Record:
     """Build a record from columns (n each): times in s, signed duty in percent, measured output in ``unit``.
 
-    What acted before the first row is not recorded: it is taken as the first command where the shaft is already moving,
-    else as brake. Raises DataError if there is too little to work on.
+    ``at_rest`` says that the shaft stands still at the first sample; None judges by the samples, and then the speed is
+    estimated unless they are all equal. What acted before the first row is not recorded: it is taken as the first
+    command where the shaft is clearly in motion, else as brake. Raises DataError if there is too little to work on.
     """
     if len(times_s) < SHORTEST:
         raise DataError(f"{name}: {len(times_s)} samples are too few, at least {SHORTEST} are needed")
     times = np.ascontiguousarray(times_s - times_s[0], dtype=np.float64)
     modes = np.ones(len(times), dtype=np.int64) if mode is None else np.asarray(mode, dtype=np.int64)
     output = np.ascontiguousarray(y, dtype=np.float64)
-    head = output[:REST_SAMPLES]
-    at_rest = bool(np.ptp(head) == 0.0) if kind == ANGLE else bool(np.all(np.abs(head[:1]) <= 0.0))
-    before = (0.0, BRAKE) if at_rest else (float(duty_pct[0]), int(modes[0]))
+    if at_rest is None:
+        at_rest = bool(np.ptp(output[:REST_SAMPLES]) == 0.0) if kind == ANGLE else bool(output[0] == 0.0)
+    moving = not at_rest and _in_motion(output, kind, quantum)
+    before = (float(duty_pct[0]), int(modes[0])) if moving else (0.0, BRAKE)
     excitation = Excitation(
         times_s=times,
         act_times_s=times + command_delay_s,
@@ -106,22 +110,43 @@ def make_record(
         sample_time_s=step,
         at_rest=at_rest,
         rotary=rotary,
-        repeat_of=repeat_of,
         windows=cut_windows(times),
     )
 
 
+def _in_motion(y: np.ndarray, kind: int, quantum: float) -> bool:
+    """Whether the first samples show more motion than a start from rest could."""
+    if kind == ANGLE:
+        return bool(abs(y[2] - y[0]) >= 3.0 * quantum) if quantum > 0 else bool(y[1] != y[0])
+    return bool(abs(y[0]) > 2.0 * quantum)
+
+
+def acting_duty(duty_pct: np.ndarray, duty_steps: int) -> np.ndarray:
+    """The duty (n) that acts when a target's timer truncates it to one of ``duty_steps``; 0 steps: as it is.
+
+    The wire carries a 32-bit float, and the target computes with that.
+    """
+    if duty_steps <= 0:
+        return duty_pct
+    sent = duty_pct.astype(np.float32).astype(np.float64)
+    return np.asarray(np.trunc(sent * (duty_steps / 100.0)) * (100.0 / duty_steps))
+
+
 def record_from_log(log: Log, name: str | None = None) -> Record:
-    """The record of a log: its output whatever it is, its commands with the bench's known delay."""
+    """The record of a log: its output whatever it is, its commands with what is known of the bench.
+
+    Known are the delay until a command acts and the steps of the target's timer; neither is ever a missing effect.
+    """
     output = log.output_name
     kind = ANGLE if output in ("angle_deg", "position_m") else SPEED
     if kind == SPEED and log.output_average == "previous_interval":
         kind = MEAN_SPEED
+    y = log.output
     return make_record(
         name or (log.path.name if log.path else "log"),
         log.time_s,
-        log.duty_pct,
-        log.output,
+        acting_duty(log.duty_pct, log.duty_steps),
+        y,
         mode=log.mode,
         kind=kind,
         unit=log.output_unit,
@@ -129,5 +154,5 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         sample_time_s=log.sample_time_s,
         command_delay_s=log.command_delay_ticks * log.sample_time_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
-        repeat_of=log.metadata.get("experiment", ""),
+        at_rest=True if log.begins_at_rest and len(y) > 1 and y[0] == y[1] else None,
     )

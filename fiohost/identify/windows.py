@@ -6,8 +6,6 @@ angle). Gauss-Newton with one finite difference for the speed, and one for the a
 
 from __future__ import annotations
 
-import numpy as np
-
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.kernel import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA, simulate
 
@@ -46,8 +44,29 @@ def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
 
 @compiled
 def fit_windows(  # type: ignore[no-untyped-def]
-    times, act_times, duties, modes, y, edges, bases, free_speed, bends, kind, seen, substep, p, on,
-    speed_step, residuals, shifts, omegas, state, trial, states, y0, y1
+    times,
+    act_times,
+    duties,
+    modes,
+    y,
+    edges,
+    bases,
+    free_speed,
+    bends,
+    kind,
+    seen,
+    substep,
+    p,
+    on,
+    speed_step,
+    residuals,
+    shifts,
+    omegas,
+    state,
+    trial,
+    states,
+    y0,
+    y1,
 ):
     """Fit angle shift and speed of every window; ``bases`` (m, states) are the free run's states at the window starts.
 

@@ -18,7 +18,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
+import numba as _numba
+
+numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
 
 @cache

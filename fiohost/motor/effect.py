@@ -11,8 +11,8 @@ An effect says where it acts by giving hooks, plain functions of numbers which t
 ``breakaway(q)``
     static friction above sliding friction, in percent.
 
-``q`` is the array of the effect's own parameters in their declared order. Effects that change the structure or the timing
-(``linear``, ``transport_delay``, ``backlash``) have no hook: the kernel knows them by name.
+``q`` is the array of the effect's own parameters in their declared order. Effects that change the structure or the
+timing (``linear``, ``transport_delay``, ``backlash``) have no hook: the kernel knows them by name.
 """
 
 from __future__ import annotations
@@ -72,7 +72,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect, its equation and parameters, where it acts and what it cannot be told from."""
+    """One physical effect, its equation and parameters, where it acts and what it cannot be told from.
+
+    ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
+    data cannot tell apart; all their names are reported whatever it is.
+    """
 
     name: str
     summary: str
@@ -82,6 +86,7 @@ class Effect:
     source: str
     signature: str = ""
     stage: int = 0
+    commonness: int = 5
     substep_s: float | None = None
     angle_bound: bool = False
     equivalents: tuple[str, ...] = ()

@@ -1,9 +1,10 @@
 """The simulation kernel: exact exponential steps between events, true stick, no regularised sign.
 
 Between events the drive is constant, so speed and angle follow closed forms: with ``ws = K f`` the speed that the net
-torque ``f`` would reach, ``omega(t) = ws + (omega0 - ws) exp(-t/tau)``. Where a torque depends on the state, the step is
-cut to ``substep_s`` and the torque is taken at the midpoint. A step ends where the speed crosses zero; there the shaft
-rests while drive minus load stays within break-away. Without state-dependent torques a whole hold is one exact step.
+torque ``f`` would reach, ``omega(t) = ws + (omega0 - ws) exp(-t/tau)``. Where a torque depends on the state, the step
+is cut to ``substep_s`` and the torque is taken at the midpoint. A step ends where the speed crosses zero; there the
+shaft rests while drive minus load stays within break-away. Without state-dependent torques a whole hold is one exact
+step.
 
 Units: degrees (or the unit of a linear axis), seconds, percent of duty.
 """
@@ -59,10 +60,7 @@ def _flow(omega, net, driven, gain, tau, dt):  # type: ignore[no-untyped-def]
 @inlined
 def _time_to_rest(omega, net, driven, gain, tau, dt):  # type: ignore[no-untyped-def]
     """When the speed reaches zero under a constant net torque, given that it does within dt."""
-    if driven:
-        at = -tau * log1p(-omega / (omega - gain * net))
-    else:
-        at = -omega * tau / (gain * net)
+    at = -tau * log1p(-omega / (omega - gain * net)) if driven else -omega * tau / (gain * net)
     return min(max(at, 0.0), dt)
 
 
@@ -221,7 +219,9 @@ def _advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore
                 closing = candidate > 0.0
                 if abs(slack) < 1e-12:
                     outward = (omega - load_omega) * candidate
-                    if outward < 0.0 or (outward == 0.0 and (gain * net - (omega if driven else 0.0)) * candidate <= 0.0):
+                    if outward < 0.0 or (
+                        outward == 0.0 and (gain * net - (omega if driven else 0.0)) * candidate <= 0.0
+                    ):
                         continue
                     slack = 1e-12 if closing else -1e-12
                 if direction == 0.0:
@@ -262,8 +262,9 @@ def _advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore
 def simulate(times, act_times, duties, modes, first, last, state, substep, p, on, states):  # type: ignore[no-untyped-def]
     """Simulate samples ``first..last`` of a record from ``state``; ``states[k - first]`` is the state at ``times[k]``.
 
-    ``duties[0]`` and ``modes[0]`` are what acted before the first row's command; ``act_times[j]`` is when ``duties[j+1]``
-    begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact step.
+    ``duties[0]`` and ``modes[0]`` are what acted before the first row's command; ``act_times[j]`` is when
+    ``duties[j+1]`` begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact
+    step.
     """
     delay = p[DELAY] if on[DELAY_ON] else 0.0
     gap = on[BACKLASH] and p[GAP] > 0.0
@@ -292,4 +293,3 @@ def simulate(times, act_times, duties, modes, first, last, state, substep, p, on
                 duty = command(duties[j], p, on)
         for i in range(STATE_SIZE):
             states[k - first, i] = state[i]
-

@@ -45,7 +45,9 @@ class Model:
 
     @classmethod
     def parse(cls, text: str) -> Model:
-        """Read ``linear+EFFECT+...`` or a model file. Raises ModelError or ConfigError naming the nearest valid name."""
+        """Read ``linear+EFFECT+...`` or a model file. Raises ModelError or ConfigError naming the nearest valid
+        name.
+        """
         if text.endswith(".toml") or "/" in text:
             return cls.read(find_config("models", text))
         names = [part.strip() for part in text.split("+")]

@@ -19,8 +19,8 @@ _SIDE = effect("backlash").parameter("side")
 class Excitation:
     """What acted on the motor and when it was looked at.
 
-    ``times_s`` (n): sample times. ``act_times_s`` (m): when each command begins to act. ``duties_pct``, ``modes`` (m + 1):
-    signed duty and mode (1 drive, 2 brake, 0 standby), the first entry being what acted before the first command.
+    ``times_s`` (n): sample times. ``act_times_s`` (m): when each command begins to act. ``duties_pct``, ``modes`` (m
+    + 1): signed duty and mode (1 drive, 2 brake, 0 standby), the first entry being what acted before the first command.
     """
 
     times_s: np.ndarray
@@ -46,7 +46,9 @@ def run(
     first: int = 0,
     last: int | None = None,
 ) -> np.ndarray:
-    """States (last - first, STATE_SIZE) at the sample times, from ``state`` at ``times_s[first]``; it is left untouched."""
+    """States (last - first, STATE_SIZE) at the sample times, from ``state`` at ``times_s[first]``; it is left
+    untouched.
+    """
     last = len(excitation.times_s) if last is None else last
     states = np.empty((last - first, STATE_SIZE))
     kernel.simulate(

@@ -23,10 +23,9 @@ VARIABLE_LABELS = {
 def series_of(found: Diagnosis) -> list[SeriesPlot]:
     """One picture a log, held-out ones first: they are the proof."""
     final, declared = found.final, found.declared
-    rows = [
-        *(("holdout", *row) for row in zip(found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout, strict=True)),
-        *(("train", *row) for row in zip(found.train, declared.judgements, final.judgements, final.floors, strict=True)),
-    ]  # fmt: skip
+    held = zip(found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout, strict=True)
+    fitted = zip(found.train, declared.judgements, final.judgements, final.floors, strict=True)
+    rows = [*(("holdout", *row) for row in held), *(("train", *row) for row in fitted)]
     return [
         SeriesPlot(
             title=record.name,

@@ -25,6 +25,7 @@ class TargetProfile:
     status: str  # how well the layout is known
     sample_time_s: float
     counts_per_rev: int
+    duty_steps: int  # timer counts of a PWM period, to which the target truncates the duty; 0 unknown
     vendor_id: int | None
     product_id: int | None
     limit_duty_pct: float
@@ -41,6 +42,7 @@ class TargetProfile:
         status = top.text("status", "assumed", choices=STATUSES)
         sample_time_s = top.number("sample_time_s", 0.005, low=1e-4, high=1.0)
         counts_per_rev = top.integer("counts_per_rev", 720, low=4, high=1 << 24)
+        duty_steps = top.integer("duty_steps", 0, low=0, high=1 << 32)
         identity, limits = top.table("identity"), top.table("limits")
         command = Layout.from_table(top.table("command", required=True), COMMAND_FIELDS, COMMAND_FIELDS)
         telemetry = Layout.from_table(top.table("telemetry", required=True), TELEMETRY_FIELDS, TELEMETRY_FIELDS)
@@ -52,8 +54,8 @@ class TargetProfile:
         limits.finish()
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
-            path.stem, title, transport, status, sample_time_s, counts_per_rev, vendor_id, product_id, limit_duty_pct,
-            codec,
+            path.stem, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
+            limit_duty_pct, codec,
         )  # fmt: skip
 
     def with_counts(self, counts_per_rev: int | None) -> TargetProfile:

@@ -13,6 +13,7 @@ EFFECTS = (
         summary="constant torque, positive when it opposes forward motion",
         equation="load = level",
         acts_on="torque",
+        commonness=4,
         signature="the same missing torque in both directions; positions drift one way in a symmetric test",
         parameters=(Parameter("level_pct", "%", 1.0, -90.0, 90.0, step=1e-2),),
         trials=({"level_pct": 1.0},),

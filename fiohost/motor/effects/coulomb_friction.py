@@ -13,6 +13,7 @@ EFFECTS = (
         summary="constant friction opposing motion, true stick at rest",
         equation="friction = level * sgn(omega); at rest it balances any drive up to level",
         acts_on="friction",
+        commonness=0,
         signature="slower in both directions by the same duty; stops dead; does not start below a level",
         parameters=(Parameter("level_pct", "%", 2.0, 0.0, 90.0, step=1e-2),),
         trials=({"level_pct": 0.5}, {"level_pct": 2.0}, {"level_pct": 6.0}),

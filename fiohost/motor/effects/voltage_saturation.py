@@ -13,6 +13,7 @@ EFFECTS = (
         summary="no more effect above a level",
         equation="duty_eff = clip(duty, -limit, limit)",
         acts_on="command",
+        commonness=4,
         stage=40,
         signature="steady speed flat above one duty, unchanged below it",
         parameters=(Parameter("limit_pct", "%", 80.0, 1.0, 100.0, neutral=100.0, step=1e-2),),

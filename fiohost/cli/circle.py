@@ -1,0 +1,87 @@
+"""The whole circle as one command: ``close-loop``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fiohost.cli.output import json_option, output_for
+from fiohost.cli.progress import progress
+
+
+@click.command("close-loop")
+@click.option("--target", default="sim:sealed", show_default=True, metavar="T", help="Board to run on.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), metavar="N", help="Draw the sealed board by this seed; at random without."
+)
+@click.option("--model", default="linear+coulomb_friction", show_default=True, metavar="M", help="Declared model.")
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of logs, page and plots. [default: close-loop-N]",
+)
+@json_option
+def close_loop(target: str, seed: int | None, model: str, report: Path | None, json_to: str | None) -> None:
+    """Run a suite of experiments, name what the model lacks, and prove it on a fresh record.
+
+    On a sealed board the plant and its one undeclared effect are drawn at random and shown only at the very end.
+
+    \b
+    Examples:
+      fiohost close-loop
+      fiohost close-loop --seed 7 --report out
+    """
+    from fiohost.bench.connect import connect
+    from fiohost.circle.close import close_loop as run_circle
+    from fiohost.discover.result import to_json
+    from fiohost.motor.model import Model
+    from fiohost.report.circle import confirm_series, print_circle
+    from fiohost.report.diagnosis import curves_of, series_of
+    from fiohost.report.page import write_page
+    from fiohost.report.plots import save_plots
+
+    say = output_for(json_to)
+    declared = Model.parse(model)
+    folder = _folder(report)
+    with connect(target, seed=seed) as bench, progress() as doing:
+        circle = run_circle(bench, folder, declared, say=doing)
+    diagnosis = to_json(circle.diagnosis)
+    seal = _open_seal(circle.fresh_log.path) if target == "sim:sealed" else None
+    result = circle.to_json(diagnosis, seal)
+    print_circle(say.console, result)
+    series = [confirm_series(circle), *series_of(circle.diagnosis)]
+    save_plots(folder, series, diagnosis, curves_of(circle.diagnosis))
+    page = folder / "report.html"
+    write_page(
+        page, title="The closed circle", diagnosis=diagnosis, series=series, seal=seal,
+        confirm=circle.confirmation.to_json(), curves=curves_of(circle.diagnosis),
+    )  # fmt: skip
+    circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
+    say(f"page: {page}")
+    say.json(result)
+
+
+def _folder(report: Path | None) -> Path:
+    """The folder asked for, or the first free ``close-loop-N`` here. Raises LogError if it cannot be made."""
+    from fiohost.errors import LogError
+
+    folder = report
+    number = 1
+    while folder is None or (report is None and folder.exists()):
+        folder = Path(f"close-loop-{number}")
+        number += 1
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise LogError(f"cannot make the folder {folder}: {exc.strerror}") from exc
+    return folder
+
+
+def _open_seal(log: Path) -> dict[str, object]:
+    """The truth about a sealed board, from its log: the last thing that is done."""
+    from fiohost.bench.seal import find_seed
+    from fiohost.transport.instruments import break_seal
+
+    return break_seal(find_seed(str(log)))

@@ -1,0 +1,136 @@
+"""Commands on logs: ``diagnose`` and ``simulate``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fiohost.cli.output import check_writable, json_option, output_for
+from fiohost.cli.progress import progress
+
+if TYPE_CHECKING:
+    from fiohost.bench.log import Log
+
+
+@click.command()
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.option(
+    "--holdout",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="A log that only reports; repeat it for more.",
+)
+@click.option(
+    "--model",
+    default="linear",
+    show_default=True,
+    metavar="M",
+    help="Declared model: linear+EFFECT+... or a model file.",
+)
+@json_option
+@click.option(
+    "--save-model", type=click.Path(path_type=Path), metavar="FILE", help="Write the final model, for simulate."
+)
+@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
+@click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
+@click.option("--seed", default=0, show_default=True, type=int, help="Seed of the replicas that make the floor.")
+def diagnose(
+    logs: Sequence[Path],
+    holdout: Sequence[Path],
+    model: str,
+    json_to: str | None,
+    save_model: Path | None,
+    report: Path | None,
+    table_map: str | None,
+    seed: int,
+) -> None:
+    """Name what a declared model lacks, from logs, and report the error before and after on held-out ones.
+
+    \b
+    Examples:
+      fiohost diagnose run1.csv run2.csv --holdout run3.csv --model linear+coulomb_friction
+      fiohost diagnose power_*0.csv --holdout power_015.csv --map nxt_open_loop --report out
+    """
+    from fiohost.circle.evidence import diagnose as run_diagnosis
+    from fiohost.discover.result import to_json
+    from fiohost.motor.model import Model
+    from fiohost.report.tables import print_diagnosis
+
+    say = output_for(json_to)
+    declared = Model.parse(model)
+    if save_model is not None:
+        check_writable(save_model)
+
+    def announce(train: Sequence[Log], held: Sequence[Log]) -> None:
+        for role, group in (("training", train), ("held out", held)):
+            for log in group:
+                say(f"{role:9} {log.path}: {len(log)} rows")
+                for note in log.dropped:
+                    say(f"          dropped: {note}")
+
+    with progress() as doing:
+        found = run_diagnosis(logs, holdout, declared, table_map=table_map, seed=seed, say=doing, announce=announce)
+    result = to_json(found)
+    print_diagnosis(say.console, result)
+    if save_model is not None:
+        found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
+        say(f"model written to {save_model}")
+    if report is not None:
+        from fiohost.report.diagnosis import curves_of, series_of
+        from fiohost.report.page import write_page
+        from fiohost.report.plots import save_plots
+
+        series, curves = series_of(found), curves_of(found)
+        save_plots(report, series, result, curves)
+        write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
+        say(f"page and plots in {report}")
+    say.json(result)
+
+
+@click.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option(
+    "--model", required=True, metavar="FILE", help="A model file (from diagnose --save-model) or an expression."
+)
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="OUT.csv", help="Table to write."
+)
+@click.option("--map", "table_map", metavar="MAP", help="LOG is a foreign table; MAP says how to read it.")
+@json_option
+def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to: str | None) -> None:
+    """Free run of a saved model on a log's commands, so that anyone can check the figures.
+
+    \b
+    Example:
+      fiohost simulate run3.csv --model found.toml -o simulated.csv
+    """
+    from fiohost.circle.evidence import read_logs
+    from fiohost.circle.replay import replay, write_replay
+    from fiohost.motor.model import Model
+
+    say = output_for(json_to)
+    check_writable(output)
+    chosen = Model.parse(model)
+    (source,) = read_logs([log], table_map)
+    found = replay(source, chosen)
+    write_replay(output, found, source, model)
+    errors = found.errors
+    say(
+        f"{output}: {len(found.output)} rows of {found.output_name}; against the log {errors.free_run_rms:.4g} "
+        f"{found.unit} rms over the whole run, {errors.window_rms:.4g} {found.unit} in 1 s windows"
+    )
+    say.json(
+        {
+            "schema": "fiohost.simulation/1",
+            "log": str(log),
+            "model": chosen.expression,
+            "output": str(output),
+            "output_unit": found.unit,
+            "initial": {"angle": found.start[0], "speed": found.start[1]},
+            "errors": errors.to_json(),
+        },
+    )

@@ -1,0 +1,50 @@
+"""The closed circle in a terminal and as a picture: what was found, the proof on a fresh record, the opened seal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from fiohost.report import words
+from fiohost.report.page import confirm_sentence, flatten
+from fiohost.report.series import SeriesPlot
+from fiohost.report.tables import print_diagnosis
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from fiohost.circle.close import Circle
+
+
+def print_circle(console: Console, result: Mapping[str, Any]) -> None:
+    """Print a result of schema ``fiohost.circle/1``: diagnosis, confirmation, and last the truth where there is
+    a seal.
+    """
+    diagnosis = result["diagnosis"]
+    print_diagnosis(console, diagnosis)
+    console.print()
+    console.print(f"[bold]Fresh record[/bold]: {confirm_sentence(result['confirm'], str(diagnosis['output_unit']))}")
+    if result["seal"]:
+        console.print()
+        console.print("[bold]The seal, opened now[/bold]")
+        for name, text in flatten(result["seal"]):
+            console.print(f"  {name}: {text}", markup=False)
+        named = [words.effect_words(step["effect"]) for step in diagnosis["steps"]]
+        console.print(f"  named before it was opened: {words.listed(named) or 'nothing'}")
+
+
+def confirm_series(circle: Circle) -> SeriesPlot:
+    """The fresh record, measured against both models."""
+    found = circle.confirmation
+    record = found.record
+    return SeriesPlot(
+        title=f"fresh record: {record.name}",
+        role="confirm",
+        unit=record.unit,
+        time_s=record.excitation.times_s,
+        measured=record.y,
+        before=found.before.simulated,
+        after=found.after.simulated if circle.diagnosis.steps else None,
+        duty_pct=record.excitation.duties_pct[1:],
+        floor_rms=found.floor.errors.free_run_rms,
+    )

@@ -1,0 +1,152 @@
+"""The search on records made by the fit's own kernel: names, honesty, and the tools it is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bench_data import measure, multisine, steps, suite, truth_model
+
+from fiohost.discover.choose import folds, slices
+from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.evidence import missing_torque
+from fiohost.discover.floor import repeats
+from fiohost.discover.metrics import judge
+from fiohost.discover.result import to_json
+from fiohost.errors import DataError
+from fiohost.identify.fit import fit_from_scratch
+from fiohost.motor.model import Model
+
+DECLARED = Model.parse("linear+coulomb_friction")
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("constant_load", {"constant_load.level_pct": -0.8}),
+        ("gravity_load", {"gravity_load.level_pct": 2.5, "gravity_load.phase_deg": 130.0}),
+        ("transport_delay", {"transport_delay.delay_s": 0.0062}),
+        ("input_deadband", {"input_deadband.level_pct": 3.0}),
+        ("voltage_saturation", {"voltage_saturation.limit_pct": 62.0}),
+        ("backlash", {"backlash.gap_deg": 1.7, "backlash.load_inertia_ratio": 0.0}),
+        ("backlash", {"backlash.gap_deg": 3.0, "backlash.side": "encoder_before_gap"}),
+    ],
+)
+def test_a_missing_effect_is_named_and_measured(effect: str, values: dict[str, float | str]) -> None:
+    truth = truth_model(("coulomb_friction", effect), values)
+    rng = np.random.default_rng(77)
+    held = [measure(truth, steps(8.0, rng), rng, name="held")]
+    found = diagnose_records(suite(truth, 11), held, DECLARED)
+    assert [s.effect for s in found.steps] == [effect]
+    assert found.verdict == "explained"
+    final = found.final.fit.model
+    for key, value in values.items():
+        if isinstance(value, float) and "phase" not in key and value > 0.0:
+            assert final.number(key) == pytest.approx(value, rel=0.05), key
+        elif isinstance(value, str):
+            assert final.values[key] == value
+    before, after = found.before_holdout[0].errors, found.after_holdout[0].errors
+    assert after.window_rms < 0.6 * before.window_rms
+    assert after.window_rms < 1.1 * found.floor_holdout[0].errors.window_rms
+
+
+def test_nothing_is_claimed_where_nothing_is_missing() -> None:
+    for seed in range(8):
+        found = diagnose_records(suite(truth_model(), 200 + seed), (), DECLARED)
+        assert found.verdict == "no_missing_effect", seed
+        ratio = np.sqrt(
+            np.mean([j.errors.window_rms**2 for j in found.final.judgements])
+            / np.mean([f.errors.window_rms**2 for f in found.final.floors])
+        )
+        assert 0.9 < ratio < 1.1
+
+
+def test_an_effect_outside_the_library_is_not_explained_away() -> None:
+    truth = truth_model(("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 4.0})
+    library = ["input_deadband", "transport_delay", "voltage_saturation", "constant_load", "backlash"]
+    found = diagnose_records(suite(truth, 12), (), DECLARED, library=library)
+    assert found.verdict == "unexplained"
+    named = to_json(found)["residual"]
+    assert not named["white"]
+    assert named["tests"]["above_floor"]
+
+
+def test_held_out_records_change_nothing_but_the_report() -> None:
+    truth = truth_model(("coulomb_friction", "constant_load"), {"constant_load.level_pct": 1.0})
+    train = suite(truth, 13)
+    rng = np.random.default_rng(14)
+    # Held-out records of quite another motor: they may say what they like, the choice must not hear them.
+    other = truth_model(("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 9.0})
+    held = [measure(other, steps(6.0, rng), rng, name="other")]
+    alone, with_held = diagnose_records(train, (), DECLARED), diagnose_records(train, held, DECLARED)
+    assert alone.final.fit.model == with_held.final.fit.model
+    assert [c.score for c in alone.candidates] == [c.score for c in with_held.candidates]
+
+
+def test_the_missing_torque_over_time_is_recovered_from_the_residual() -> None:
+    rng = np.random.default_rng(15)
+    truth = truth_model(("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 5.0})
+    record = measure(truth, np.full(2000, 30.0), rng)
+    declared = truth_model()
+    found = judge(record, declared)
+    torque = missing_torque(record, declared, found.free_residual)
+    true = -5.0 * np.sin(np.radians(record.y))
+    middle = slice(200, -200)
+    # A load against the linear model: what friction and drive do not explain, within the smoother's band.
+    assert np.corrcoef(torque[middle], true[middle])[0, 1] > 0.97
+    assert np.std(torque[middle] - true[middle]) < 0.25 * np.std(true[middle])
+
+
+def test_folds_leave_out_whole_experiments_and_keep_repeats_together() -> None:
+    truth, rng = truth_model(), np.random.default_rng(16)
+    same = multisine(8.0, rng)
+    records = [measure(truth, same, rng, name=f"same{i}") for i in range(3)]
+    records += [measure(truth, steps(8.0, rng), rng, name=f"step{i}") for i in range(2)]
+    assert repeats(records) == [[0, 1, 2]]
+    _, groups = folds(records, None)
+    assert sorted(map(sorted, groups)) == [[0, 1, 2], [3], [4]]
+    pieces, groups = folds(records[:1], None)
+    assert len(pieces) == len(groups) == 2
+    assert sum(len(p) for p in pieces) == len(records[0])
+
+
+def test_a_piece_of_a_record_goes_on_where_the_one_before_ended() -> None:
+    truth, rng = truth_model(), np.random.default_rng(17)
+    record = measure(truth, steps(10.0, rng), rng)
+    for piece in slices(record, 4):
+        assert judge(piece, truth).errors.window_rms < 0.17
+
+
+def test_records_of_different_things_are_not_mixed() -> None:
+    truth, rng = truth_model(), np.random.default_rng(18)
+    record = measure(truth, steps(4.0, rng), rng)
+    from dataclasses import replace
+
+    with pytest.raises(DataError, match="different"):
+        diagnose_records([record, replace(record, unit="m")], (), DECLARED)
+
+
+def test_the_json_holds_what_the_schema_promises() -> None:
+    truth = truth_model(("coulomb_friction", "constant_load"), {"constant_load.level_pct": 1.0})
+    found = to_json(diagnose_records(suite(truth, 19, 6.0), suite(truth, 20, 6.0)[:1], DECLARED))
+    assert found["schema"] == "fiohost.diagnosis/1"
+    assert set(found) >= {
+        "fiohost_version", "seconds", "output_unit", "declared", "verdict", "before", "steps", "after", "final",
+        "floor", "logs", "candidates", "residual", "next_experiment",
+    }  # fmt: skip
+    step = found["steps"][0]
+    assert step["effect"] == "constant_load"
+    assert "asymmetric_coulomb_friction" in step["indistinguishable_from"]
+    low, high = step["parameters"]["level_pct"]["ci95"]
+    assert low < 1.0 < high
+    assert {log["role"] for log in found["logs"]} == {"train", "holdout"}
+    for block in (found["before"], found["after"], found["floor"]):
+        assert set(block["holdout"]) == {"free_run_rms", "window_rms", "bin_violation_pct", "fit_pct", "samples"}
+
+
+def test_a_fit_on_everything_is_the_same_whatever_the_order_of_the_records() -> None:
+    truth = truth_model()
+    records = suite(truth, 21, 6.0)
+    one = fit_from_scratch(DECLARED, records).model
+    two = fit_from_scratch(DECLARED, records[::-1]).model
+    for key in one.values:
+        assert one.number(key) == pytest.approx(two.number(key), rel=1e-4)

@@ -1,0 +1,167 @@
+"""The kernel that is fitted: closed forms where they exist, limits where they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fiohost.errors import FiohostError, ModelError
+from fiohost.motor.effect import effects
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Excitation, free_run, rest_state, run
+
+GAIN, TAU = 10.0, 0.08
+LINEAR = {"linear.gain_deg_s_per_pct": GAIN, "linear.tau_s": TAU}
+
+
+def held(duty_pct: list[float], hold_s: float, tick_s: float = 0.005, mode: int = 1) -> Excitation:
+    """Levels held one after another, acting at once."""
+    ticks = round(hold_s / tick_s)
+    duty = np.repeat(np.array(duty_pct), ticks)
+    times = np.arange(len(duty) + 1) * tick_s
+    modes = np.concatenate(([2], np.full(len(duty), mode, dtype=np.int64)))
+    return Excitation(times, times[:-1], np.concatenate(([0.0], duty)), modes)
+
+
+def test_a_step_gives_the_textbook_response() -> None:
+    ex = held([40.0], 1.0)
+    t = ex.times_s
+    expected = GAIN * 40.0 * (t - TAU * (1 - np.exp(-t / TAU)))
+    np.testing.assert_allclose(free_run(Model(values=LINEAR), ex, 0.0, 0.0), expected, atol=1e-9)
+
+
+def test_dry_friction_lowers_the_steady_speed_by_its_level_and_holds_below_it() -> None:
+    model = Model(("coulomb_friction",), {**LINEAR, "coulomb_friction.level_pct": 5.0})
+    y = free_run(model, held([40.0], 2.0), 0.0, 0.0)
+    assert (y[-1] - y[-2]) / 0.005 == pytest.approx(GAIN * 35.0, rel=1e-6)
+    assert np.all(free_run(model, held([4.999], 10.0), 12.25, 0.0) == 12.25)
+
+
+def test_a_braked_shaft_with_dry_friction_stops_dead_at_the_time_the_formula_gives() -> None:
+    model = Model(("coulomb_friction",), {**LINEAR, "coulomb_friction.level_pct": 5.0})
+    ex = held([0.0], 1.0, tick_s=0.0001, mode=2)
+    states = run(ex, model.vector(), model.switches(), 0.0, rest_state(0.0, 300.0))
+    speed = states[:, 1]
+    stop_s = ex.times_s[np.argmax(speed == 0.0)]
+    assert stop_s == pytest.approx(TAU * np.log(1 + 300.0 / (GAIN * 5.0)), abs=2e-4)
+    assert np.all(speed[ex.times_s > stop_s] == 0.0)
+
+
+def test_in_standby_only_friction_stops_the_shaft() -> None:
+    model = Model(("coulomb_friction",), {**LINEAR, "coulomb_friction.level_pct": 5.0})
+    ex = held([0.0], 1.0, mode=0)
+    turned = free_run(model, ex, 0.0, 300.0)[-1]
+    deceleration = GAIN * 5.0 / TAU
+    assert turned == pytest.approx(300.0**2 / (2 * deceleration), rel=1e-9)
+
+
+def test_a_delay_of_half_a_tick_shifts_the_response_by_half_a_tick() -> None:
+    late = Model(("transport_delay",), {**LINEAR, "transport_delay.delay_s": 0.0025})
+    fine = held([40.0], 0.5, tick_s=0.0025)
+    y = free_run(late, held([40.0], 0.5), 0.0, 0.0)
+    reference = free_run(Model(values=LINEAR), fine, 0.0, 0.0)
+    np.testing.assert_allclose(y[1:], reference[1::2][: len(y) - 1], atol=1e-9)
+
+
+def test_gravity_swings_like_a_damped_pendulum_and_its_energy_never_grows() -> None:
+    level, phase = 8.0, 30.0
+    model = Model(("gravity_load",), {**LINEAR, "gravity_load.level_pct": level, "gravity_load.phase_deg": phase})
+    ex = held([0.0], 6.0, mode=0)
+    states = run(ex, model.vector(), model.switches(), model.substep_s(), rest_state(60.0, 0.0))
+    # In standby nothing damps: kinetic plus potential energy, in units of torque percent times degrees, stays.
+    kinetic = 0.5 * TAU / GAIN * states[:, 1] ** 2
+    potential = -level * np.cos(np.radians(states[:, 0] + phase)) * 180 / np.pi
+    energy = kinetic + potential
+    assert np.ptp(energy) < 5e-3 * (np.ptp(kinetic))
+    assert np.ptp(states[:, 0]) > 100
+
+
+def test_substeps_are_fine_enough_for_a_load_that_follows_the_angle() -> None:
+    model = Model(
+        ("coulomb_friction", "gravity_load"),
+        {**LINEAR, "gravity_load.level_pct": 10.0, "coulomb_friction.level_pct": 3.0},
+    )
+    rng = np.random.default_rng(4)
+    ex = held(rng.uniform(-80, 80, 60).tolist(), 0.3)
+    p, on = model.vector(), model.switches()
+    coarse = run(ex, p, on, model.substep_s(), rest_state(5.0, 0.0))[:, 0]
+    fine = run(ex, p, on, 5e-5, rest_state(5.0, 0.0))[:, 0]
+    assert np.max(np.abs(coarse - fine)) < 0.02
+
+
+def test_play_after_the_motor_leaves_a_flat_of_the_gap_at_each_reversal() -> None:
+    model = Model(("backlash",), {**LINEAR, "backlash.gap_deg": 3.0, "backlash.load_inertia_ratio": 0.0})
+    ex = held([40.0, -40.0], 1.0)
+    states = run(ex, model.vector(), model.switches(), 0.0, rest_state(0.0, 0.0))
+    motor, load = states[:, 0], states[:, 2]
+    assert motor[200] - load[200] == pytest.approx(1.5)
+    assert load[-1] - motor[-1] == pytest.approx(1.5)
+    assert np.max(np.abs(motor - load)) == pytest.approx(1.5)
+
+
+def test_a_gap_before_the_load_conserves_momentum_at_impact_and_vanishes_without_load() -> None:
+    rng = np.random.default_rng(3)
+    ex = held(rng.uniform(-60, 60, 40).tolist(), 0.25)
+    without = free_run(Model(("coulomb_friction",), LINEAR), ex, 0.0, 0.0)
+    values = {**LINEAR, "backlash.side": "encoder_before_gap", "backlash.gap_deg": 4.0}
+    light = Model(("coulomb_friction", "backlash"), {**values, "backlash.load_inertia_ratio": 0.011})
+    heavy = Model(("coulomb_friction", "backlash"), {**values, "backlash.load_inertia_ratio": 0.4})
+    assert np.max(np.abs(free_run(light, ex, 0.0, 0.0) - without)) < 0.4
+    assert np.max(np.abs(free_run(heavy, ex, 0.0, 0.0) - without)) > 0.5
+    p, on = heavy.vector(), heavy.switches()
+    states = run(ex, p, on, 0.0, rest_state(0.0, 0.0))
+    assert np.max(np.abs(states[:, 0] - states[:, 2])) <= 2.0 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("linear+coulomb_fricton", "coulomb_friction"),
+        ("coulomb_friction", "begins with linear"),
+        ("linear+backlash+backlash", "twice"),
+        ("linear+", "unknown effect"),
+    ],
+)
+def test_a_wrong_model_expression_is_refused_with_the_nearest_name(text: str, says: str) -> None:
+    with pytest.raises(FiohostError, match=says):
+        Model.parse(text)
+
+
+def test_a_model_file_comes_back_as_it_was_and_a_wrong_one_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    model = Model(("coulomb_friction", "backlash"), {**LINEAR, "backlash.side": "encoder_before_gap"})
+    path = tmp_path / "m.toml"
+    model.write(path)
+    assert Model.parse(str(path)) == model
+    for old, new, says in (
+        ("linear.tau_s", "linear.tau", "tau_s"),
+        ("effects", "efects", "effects"),
+        ("linear.tau_s = 0.08", "linear.tau_s = nan", "finite"),
+        ("linear.tau_s = 0.08", "linear.tau_s = -1.0", "outside"),
+        ('"encoder_before_gap"', '"before"', "encoder_before_gap"),
+    ):
+        path.write_text(path.read_text())
+        broken = tmp_path / "broken.toml"
+        broken.write_text(path.read_text().replace(old, new))
+        with pytest.raises(FiohostError, match=says):
+            Model.parse(str(broken))
+
+
+def test_every_effect_says_what_it_is_and_vanishes_at_its_neutral_value() -> None:
+    rng = np.random.default_rng(8)
+    ex = held(rng.uniform(-70, 70, 30).tolist(), 0.2)
+    base = Model(("coulomb_friction",), LINEAR)
+    reference = free_run(base, ex, 3.0, 0.0)
+    for name, effect in effects().items():
+        assert effect.summary
+        assert effect.equation
+        assert effect.source
+        if name in ("linear", "coulomb_friction"):
+            continue
+        neutral = {p.name: p.neutral for p in effect.parameters if p.neutral is not None}
+        y = free_run(base.with_effect(name, neutral), ex, 3.0, 0.0)
+        np.testing.assert_allclose(y, reference, atol=2e-3, err_msg=name)
+
+
+def test_parameters_out_of_range_are_refused_by_name() -> None:
+    with pytest.raises(ModelError, match=r"linear\.tau_s"):
+        Model(values={"linear.tau_s": 0.0})
