@@ -54,7 +54,9 @@ def measure(
     )
 
 
-def truth_model(effects: Sequence[str] = ("coulomb_friction",), values: Mapping[str, float | str] | None = None) -> Model:
+def truth_model(
+    effects: Sequence[str] = ("coulomb_friction",), values: Mapping[str, float | str] | None = None
+) -> Model:
     given: dict[str, float | str] = dict(TRUTH)
     if "coulomb_friction" in effects:
         given["coulomb_friction.level_pct"] = 2.7

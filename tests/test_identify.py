@@ -13,12 +13,17 @@ from fiohost.identify.intervals import estimates
 from fiohost.identify.predict import Flat, free_output, initial_state
 from fiohost.identify.record import MEAN_SPEED, SPEED, cut_windows, make_record
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 
 def test_the_fit_finds_gain_lag_and_friction_from_counts_far_below_one_percent() -> None:
     truth = truth_model()
     found = fit_from_scratch(Model.parse("linear+coulomb_friction"), suite(truth, 1)).model
-    for key, tolerance in (("linear.gain_deg_s_per_pct", 3e-4), ("linear.tau_s", 2e-3), ("coulomb_friction.level_pct", 5e-3)):
+    for key, tolerance in (
+        ("linear.gain_deg_s_per_pct", 3e-4),
+        ("linear.tau_s", 2e-3),
+        ("coulomb_friction.level_pct", 5e-3),
+    ):
         assert found.number(key) == pytest.approx(truth.number(key), rel=tolerance), key
 
 
@@ -44,8 +49,7 @@ def test_the_initial_state_of_a_record_that_begins_in_motion_is_found() -> None:
         command_delay_s=TICK_S,
     )
     assert not part.at_rest
-    theta, omega = initial_state(part, Flat.of(truth))
-    y = free_output(part, Flat.of(truth), theta, omega)
+    y = free_output(part, Flat.of(truth), initial_state(part, Flat.of(truth)))
     # The command in force before the first row is not recorded: it is taken as the first one.
     assert np.sqrt(np.mean((part.y - y)[200:] ** 2)) < 0.5
 
@@ -54,7 +58,7 @@ def test_speed_logs_are_first_class() -> None:
     rng = np.random.default_rng(6)
     truth = truth_model()
     made = measure(truth, multisine(10.0, rng), rng)
-    angle = free_output(made, Flat.of(truth), 0.0, 0.0)
+    angle = free_output(made, Flat.of(truth), Start(0.0, 0.0))
     mean_speed = np.diff(angle, prepend=angle[0]) / TICK_S
     for kind, y in ((MEAN_SPEED, mean_speed), (SPEED, np.gradient(angle, TICK_S))):
         record = make_record(
@@ -70,7 +74,9 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say() -> None:
     truth = truth_model()
     hits, total = 0, 0
     for seed in range(30):
-        found = estimates(fit(Model.parse("linear+coulomb_friction").with_values(truth.values), suite(truth, 100 + seed, 6.0)))
+        found = estimates(
+            fit(Model.parse("linear+coulomb_friction").with_values(truth.values), suite(truth, 100 + seed, 6.0))
+        )
         for key, estimate in found.items():
             hits += estimate.ci95[0] <= truth.number(key) <= estimate.ci95[1]
             total += 1

@@ -8,7 +8,7 @@ import pytest
 from fiohost.errors import FiohostError, ModelError
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
-from fiohost.motor.simulate import Excitation, free_run, rest_state, run
+from fiohost.motor.simulate import Excitation, Start, free_run, run, start_state
 
 GAIN, TAU = 10.0, 0.08
 LINEAR = {"linear.gain_deg_s_per_pct": GAIN, "linear.tau_s": TAU}
@@ -40,7 +40,9 @@ def test_dry_friction_lowers_the_steady_speed_by_its_level_and_holds_below_it() 
 def test_a_braked_shaft_with_dry_friction_stops_dead_at_the_time_the_formula_gives() -> None:
     model = Model(("coulomb_friction",), {**LINEAR, "coulomb_friction.level_pct": 5.0})
     ex = held([0.0], 1.0, tick_s=0.0001, mode=2)
-    states = run(ex, model.vector(), model.switches(), 0.0, rest_state(0.0, 300.0))
+    states = run(
+        ex, model.vector(), model.switches(), 0.0, start_state(Start(0.0, 300.0), model.vector(), model.switches())
+    )
     speed = states[:, 1]
     stop_s = ex.times_s[np.argmax(speed == 0.0)]
     assert stop_s == pytest.approx(TAU * np.log(1 + 300.0 / (GAIN * 5.0)), abs=2e-4)
@@ -67,7 +69,13 @@ def test_gravity_swings_like_a_damped_pendulum_and_its_energy_never_grows() -> N
     level, phase = 8.0, 30.0
     model = Model(("gravity_load",), {**LINEAR, "gravity_load.level_pct": level, "gravity_load.phase_deg": phase})
     ex = held([0.0], 6.0, mode=0)
-    states = run(ex, model.vector(), model.switches(), model.substep_s(), rest_state(60.0, 0.0))
+    states = run(
+        ex,
+        model.vector(),
+        model.switches(),
+        model.substep_s(),
+        start_state(Start(60.0, 0.0), model.vector(), model.switches()),
+    )
     # In standby nothing damps: kinetic plus potential energy, in units of torque percent times degrees, stays.
     kinetic = 0.5 * TAU / GAIN * states[:, 1] ** 2
     potential = -level * np.cos(np.radians(states[:, 0] + phase)) * 180 / np.pi
@@ -84,15 +92,17 @@ def test_substeps_are_fine_enough_for_a_load_that_follows_the_angle() -> None:
     rng = np.random.default_rng(4)
     ex = held(rng.uniform(-80, 80, 60).tolist(), 0.3)
     p, on = model.vector(), model.switches()
-    coarse = run(ex, p, on, model.substep_s(), rest_state(5.0, 0.0))[:, 0]
-    fine = run(ex, p, on, 5e-5, rest_state(5.0, 0.0))[:, 0]
+    coarse = run(ex, p, on, model.substep_s(), start_state(Start(5.0, 0.0), model.vector(), model.switches()))[:, 0]
+    fine = run(ex, p, on, 5e-5, start_state(Start(5.0, 0.0), model.vector(), model.switches()))[:, 0]
     assert np.max(np.abs(coarse - fine)) < 0.02
 
 
 def test_play_after_the_motor_leaves_a_flat_of_the_gap_at_each_reversal() -> None:
     model = Model(("backlash",), {**LINEAR, "backlash.gap_deg": 3.0, "backlash.load_inertia_ratio": 0.0})
     ex = held([40.0, -40.0], 1.0)
-    states = run(ex, model.vector(), model.switches(), 0.0, rest_state(0.0, 0.0))
+    states = run(
+        ex, model.vector(), model.switches(), 0.0, start_state(Start(0.0, 0.0), model.vector(), model.switches())
+    )
     motor, load = states[:, 0], states[:, 2]
     assert motor[200] - load[200] == pytest.approx(1.5)
     assert load[-1] - motor[-1] == pytest.approx(1.5)
@@ -109,7 +119,7 @@ def test_a_gap_before_the_load_conserves_momentum_at_impact_and_vanishes_without
     assert np.max(np.abs(free_run(light, ex, 0.0, 0.0) - without)) < 0.4
     assert np.max(np.abs(free_run(heavy, ex, 0.0, 0.0) - without)) > 0.5
     p, on = heavy.vector(), heavy.switches()
-    states = run(ex, p, on, 0.0, rest_state(0.0, 0.0))
+    states = run(ex, p, on, 0.0, start_state(Start(0.0, 0.0), p, on))
     assert np.max(np.abs(states[:, 0] - states[:, 2])) <= 2.0 + 1e-9
 
 

@@ -269,6 +269,8 @@ class Bench:
             "sample_time_s": f"{self.sample_time_s:.12g}",
             "command_delay_ticks": str(COMMAND_DELAY_TICKS),
             "counts_per_rev": str(self.counts_per_rev),
+            "duty_steps": str(self.profile.duty_steps),
+            "begins": "at rest",
             "full_scale": "100",
             "full_scale_unit": "% duty",
             "host_version": __version__,

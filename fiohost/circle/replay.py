@@ -13,6 +13,7 @@ from fiohost.discover.metrics import Errors, judge
 from fiohost.errors import LogError
 from fiohost.identify.record import record_from_log
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Replay:
     output: np.ndarray
     output_name: str
     unit: str
-    start: tuple[float, float]
+    start: Start
     errors: Errors
 
 
@@ -44,8 +45,9 @@ def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:
         "log": log.path.name,
         "log_sha256": log.sha256,
         "model": model_name,
-        f"initial_{result.output_name}": repr(result.start[0]),
-        "initial_speed": repr(result.start[1]),
+        f"initial_{result.output_name}": repr(result.start.angle),
+        "initial_speed": repr(result.start.speed),
+        "initial_play": repr(result.start.play),
         "initial_state": "least squares on the first second of the log",
         "free_run_rms": f"{result.errors.free_run_rms:.6g} {result.unit}",
     }

@@ -130,7 +130,7 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
             "model": chosen.expression,
             "output": str(output),
             "output_unit": found.unit,
-            "initial": {"angle": found.start[0], "speed": found.start[1]},
+            "initial": found.start._asdict(),
             "errors": errors.to_json(),
         },
     )

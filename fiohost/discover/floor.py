@@ -15,6 +15,7 @@ from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 REPLICAS = 32
 
@@ -31,14 +32,13 @@ class Floor:
     draws: tuple[Errors, ...]
 
 
-def replica(record: Record, model: Model, start: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+def replica(record: Record, model: Model, start: Start, rng: np.random.Generator) -> np.ndarray:
     """One draw (n) of what the sensor would have read had the model been true: the angle within its count is
     unknown.
     """
     flat = Flat.of(model)
-    theta, omega = start
     shift = rng.uniform(-0.5, 0.5) * record.quantum if record.kind == ANGLE else 0.0
-    truth = free_output(record, flat, theta + shift, omega)
+    truth = free_output(record, flat, start._replace(angle=start.angle + shift))
     if record.kind == ANGLE:
         return quantise(record, truth + 0.5 * record.quantum)
     return quantise(record, truth)
@@ -76,7 +76,7 @@ def replica_models(
     found = []
     for _ in range(count):
         noises = [
-            replica(r, fitted.model, s, rng) - free_output(r, flat, *s)
+            replica(r, fitted.model, s, rng) - free_output(r, flat, s)
             for r, s in zip(records, fitted.starts, strict=True)
         ]
         found.append(refitted(fitted, noises))
@@ -84,7 +84,7 @@ def replica_models(
 
 
 def replica_floor(
-    record: Record, model: Model, start: tuple[float, float], models: Sequence[Model], rng: np.random.Generator
+    record: Record, model: Model, start: Start, models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
     """Floor of a record: replicas of the model from ``start``, each judged by the model that would be fitted to it."""
     draws = tuple(judge(record, m, replica(record, model, start, rng)).errors for m in models)

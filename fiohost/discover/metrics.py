@@ -10,6 +10,7 @@ import numpy as np
 from fiohost.identify.predict import Flat, free_states, initial_state, read, window_residuals
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Judgement:
     """A model on one record: the figures and what they were computed from, each array (n)."""
 
     errors: Errors
-    start: tuple[float, float]
+    start: Start
     simulated: np.ndarray
     free_residual: np.ndarray
     window_residual: np.ndarray
@@ -59,7 +60,7 @@ def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgemen
     data = record.y if y is None else y
     flat = Flat.of(model)
     start = initial_state(record, flat, data)
-    states = free_states(record, flat, *start)
+    states = free_states(record, flat, start)
     simulated = read(record, flat, states)
     free = data - simulated
     windows = window_residuals(record, flat, states, data)

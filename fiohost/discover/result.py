@@ -58,7 +58,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     "before": b.errors.to_json(),
                     "after": a.errors.to_json(),
                     "floor": f.errors.to_json(),
-                    "initial": {"angle": a.start[0], "speed": a.start[1]},
+                    "initial": {"angle": a.start.angle, "speed": a.start.speed, "play": a.start.play},
                 }
             )
     sources = {f.source for f in (*final.floors, *found.floor_holdout)}

@@ -47,7 +47,7 @@ class Screen:
         self.fit = fit
         self.records = records
         flat = Flat.of(fit.model)
-        self._base = [free_output(r, flat, *s) for r, s in zip(records, fit.starts, strict=True)]
+        self._base = [free_output(r, flat, s) for r, s in zip(records, fit.starts, strict=True)]
         jacobian = np.vstack(fit.jacobians) if fit.names else np.empty((fit.samples, 0))
         norms = np.linalg.norm(jacobian, axis=0)
         self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
@@ -65,7 +65,7 @@ class Screen:
         model = self.fit.model.with_effect(effect.name, trial)
         flat = Flat.of(model)
         change = [
-            free_output(r, flat, *s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
+            free_output(r, flat, s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
         ]
         cleaned = self.clean(change)
         size = float(np.linalg.norm(cleaned))

@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.identify.predict import Flat, free_output, free_states, initial_guess, initial_state, window_residuals
+from fiohost.identify.predict import Flat, free_output, free_states, initial_state, plays, window_residuals
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.kernel import GAIN
 from fiohost.motor.model import Model, slot
+from fiohost.motor.simulate import Start
 
 MAX_ITERATIONS = 40
+PLAY_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Fit:
     residuals: tuple[np.ndarray, ...]
     jacobians: tuple[np.ndarray, ...]
     nuisances: tuple[np.ndarray, ...]
-    starts: tuple[tuple[float, float], ...]
+    starts: tuple[Start, ...]
     converged: bool
 
     @property
@@ -53,21 +55,21 @@ class _Point:
     """Parameter values and initial states at which the simulation stands."""
 
     p: np.ndarray
-    starts: list[tuple[float, float]]
+    starts: list[Start]
 
 
-def _start_columns(record: Record, flat: Flat, start: tuple[float, float], y: np.ndarray) -> np.ndarray:
+def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> np.ndarray:
     """Derivatives (n, 0..2) of the output by the initial angle and speed, where these are free."""
     columns: list[np.ndarray] = []
     if record.kind == ANGLE:
         if flat.bends:
             step = 1e-6 * 100.0 * abs(float(flat.p[GAIN]))
-            columns.append((free_output(record, flat, start[0] + step, start[1]) - y) / step)
+            columns.append((free_output(record, flat, start._replace(angle=start.angle + step)) - y) / step)
         else:
             columns.append(np.ones_like(y))
     if not record.at_rest:
         step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
-        columns.append((free_output(record, flat, start[0], start[1] + step) - y) / step)
+        columns.append((free_output(record, flat, start._replace(speed=start.speed + step)) - y) / step)
     return np.column_stack(columns) if columns else np.empty((len(y), 0))
 
 
@@ -91,10 +93,10 @@ class _Problem:
 
     def residual(self, record: Record, point: _Point, index: int, p: np.ndarray) -> np.ndarray:
         flat = self.flat(p)
-        theta, omega = point.starts[index]
+        start = point.starts[index]
         if self.windows:
-            return window_residuals(record, flat, free_states(record, flat, theta, omega))
-        return np.asarray(record.y - free_output(record, flat, theta, omega))
+            return window_residuals(record, flat, free_states(record, flat, start))
+        return np.asarray(record.y - free_output(record, flat, start))
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
         return [self.residual(r, point, i, point.p) for i, r in enumerate(self.records)]
@@ -186,12 +188,12 @@ def _solve(
                 if part.size == 0:
                     continue
                 shift = part[:, -1] - part[:, :-1] @ step
-                theta, omega = trial.starts[i]
+                start = trial.starts[i]
                 if record.kind == ANGLE:
-                    theta += float(shift[0])
+                    start = start._replace(angle=start.angle + float(shift[0]))
                 if not record.at_rest:
-                    omega += float(shift[-1])
-                trial.starts[i] = (theta, omega)
+                    start = start._replace(speed=start.speed + float(shift[-1]))
+                trial.starts[i] = start
             new_residuals = problem.residuals(trial)
             new_cost = _sum_of_squares(new_residuals)
             if np.isfinite(new_cost) and new_cost <= cost:
@@ -212,9 +214,28 @@ def _solve(
     return point, residuals, projected, nuisances, cost, converged
 
 
-def _initial_starts(model: Model, records: Sequence[Record]) -> list[tuple[float, float]]:
+def _initial_starts(model: Model, records: Sequence[Record]) -> list[Start]:
     flat = Flat.of(model)
     return [initial_state(r, flat) for r in records]
+
+
+def _take_up_play(problem: _Problem, point: _Point) -> bool:
+    """Put the motor on the side of its gap that suits each record's whole run best; whether any changed."""
+    flat = problem.flat(point.p)
+    changed = False
+    for i, record in enumerate(problem.records):
+        best, least = point.starts[i], np.inf
+        for play in sorted(plays(flat), key=lambda side: side != point.starts[i].play):
+            start = point.starts[i]._replace(play=play)
+            residual = record.y - free_output(record, flat, start)
+            shift = float(residual.mean()) if record.kind == ANGLE else 0.0
+            cost = float(np.sum((residual - shift) ** 2))
+            if cost < least * (1.0 - 1e-6):
+                best, least = start._replace(angle=start.angle + shift), cost
+        if best.play != point.starts[i].play:
+            point.starts[i] = best
+            changed = True
+    return changed
 
 
 def _as_model(model: Model, names: Sequence[str], p: np.ndarray) -> Model:
@@ -234,7 +255,7 @@ def fit(
     records: Sequence[Record],
     *,
     windows: bool = False,
-    starts: Sequence[tuple[float, float]] | None = None,
+    starts: Sequence[Start] | None = None,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-7,
 ) -> Fit:
@@ -247,7 +268,12 @@ def fit(
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
     point = _Point(model.vector(), list(starts) if starts is not None else _initial_starts(model, records))
-    point, residuals, jacobians, nuisances, cost, converged = _solve(problem, point, max_iterations, tolerance)
+    solved = _solve(problem, point, max_iterations, tolerance)
+    for _ in range(PLAY_ROUNDS if not windows else 0):
+        if not _take_up_play(problem, solved[0]):
+            break
+        solved = _solve(problem, solved[0], max_iterations, tolerance)
+    point, residuals, jacobians, nuisances, cost, converged = solved
     return Fit(
         model=_as_model(model, problem.names, point.p),
         names=problem.names,
@@ -258,12 +284,6 @@ def fit(
         starts=tuple(point.starts),
         converged=converged,
     )
-
-
-def fit_staged(model: Model, records: Sequence[Record], *, max_iterations: int = MAX_ITERATIONS) -> Fit:
-    """Fit by windows first, then by whole free runs, which alone would fall into local minima from afar."""
-    near = fit(model, records, windows=True, max_iterations=max_iterations, tolerance=1e-4)
-    return fit(near.model, records, max_iterations=max_iterations)
 
 
 def best_of(candidates: Sequence[Model], run: Callable[[Model], Fit]) -> Fit:
@@ -313,6 +333,3 @@ def unchanged(model: Model, records: Sequence[Record]) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
     return fit(frozen, records)
-
-
-__all__ = ["Fit", "best_of", "fit", "fit_from_scratch", "fit_staged", "initial_guess", "project", "unchanged"]

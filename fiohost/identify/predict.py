@@ -9,9 +9,9 @@ import numpy as np
 from fiohost.identify.record import ANGLE, Record
 from fiohost.identify.windows import fit_windows, read_output
 from fiohost.motor.effect import effects
-from fiohost.motor.kernel import GAIN, STATE_SIZE
+from fiohost.motor.kernel import BACKLASH, GAIN, GAP, STATE_SIZE
 from fiohost.motor.model import Model
-from fiohost.motor.simulate import rest_state, run, seen_angle
+from fiohost.motor.simulate import Start, run, seen_angle, start_state
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,15 @@ class Flat:
     substep_s: float
     seen: int
     bends: bool
+    gap: bool
 
     @classmethod
     def of(cls, model: Model, p: np.ndarray | None = None) -> Flat:
         vector = model.vector() if p is None else p
         on = model.switches()
         bends = any(effects()[name].angle_bound for name in model.effects)
-        return cls(vector, on, model.substep_s(), seen_angle(vector, on), bends)
+        gap = bool(on[BACKLASH]) and float(vector[GAP]) > 0.0
+        return cls(vector, on, model.substep_s(), seen_angle(vector, on), bends, gap)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
@@ -39,13 +41,14 @@ def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
     return y
 
 
-def free_states(record: Record, flat: Flat, theta: float, omega: float) -> np.ndarray:
-    return run(record.excitation, flat.p, flat.on, flat.substep_s, rest_state(theta, omega))
+def free_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
+    """States (n, STATE_SIZE) of a free run."""
+    return run(record.excitation, flat.p, flat.on, flat.substep_s, start_state(start, flat.p, flat.on))
 
 
-def free_output(record: Record, flat: Flat, theta: float, omega: float) -> np.ndarray:
-    """The output (n) of a free run from an initial angle and speed."""
-    return read(record, flat, free_states(record, flat, theta, omega))
+def free_output(record: Record, flat: Flat, start: Start) -> np.ndarray:
+    """The output (n) of a free run."""
+    return read(record, flat, free_states(record, flat, start))
 
 
 def _speed_step(flat: Flat) -> float:
@@ -78,20 +81,33 @@ def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
     return float(y[0]), slope
 
 
-def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> tuple[float, float]:
-    """Initial angle and speed from the first second: least squares, then the middle of what the counts allow.
+def plays(flat: Flat) -> tuple[float, ...]:
+    """Where in a gap the motor may stand at a start; after any run it rests on one side."""
+    return (0.0, -1.0, 1.0) if flat.gap else (0.0,)
+
+
+def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> Start:
+    """How a record begins, from its first second: least squares for angle and speed, the best side of any gap.
 
     The speed is zero where the shaft begins at rest. A count bounds the angle on both sides, so where the model stays
     within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate).
     """
     data = record.y if y is None else y
-    theta, omega = initial_guess(record, data)
+    angle, speed = initial_guess(record, data)
     edges = np.array([0, record.first_second()], dtype=np.int64)
-    residuals, shifts, omegas = _fit(record, flat, data, edges, rest_state(theta, omega)[None, :], not record.at_rest)
-    theta += float(shifts[0])
-    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
-        theta += 0.5 * float(residuals.max() + residuals.min())
-    return theta, float(omegas[0])
+    best, least = Start(angle, speed), np.inf
+    for play in plays(flat):
+        base = start_state(Start(angle, speed, play), flat.p, flat.on)[None, :]
+        residuals, shifts, speeds = _fit(record, flat, data, edges, base, not record.at_rest)
+        cost = float(residuals @ residuals)
+        if cost >= least:
+            continue
+        least = cost
+        found = angle + float(shifts[0])
+        if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
+            found += 0.5 * float(residuals.max() + residuals.min())
+        best = Start(found, float(speeds[0]), play)
+    return best
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

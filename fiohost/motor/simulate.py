@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +30,31 @@ class Excitation:
     modes: np.ndarray
 
 
-def rest_state(theta_deg: float, omega_deg_s: float) -> np.ndarray:
-    """A state with the load in the middle of any gap, resting beyond no contact if the shaft rests."""
+class Start(NamedTuple):
+    """How a run begins: the angle that the encoder sees, the speed, and where in a gap the motor stands, -1 to 1."""
+
+    angle: float
+    speed: float
+    play: float = 0.0
+
+
+def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
+    """Which angle of the state the encoder sees: the load's where it sits after a gap, else the motor's."""
+    after = on[EFFECT_INDEX["backlash"]] and p[kernel.SIDE] == _SIDE.choices.index("encoder_after_gap")
+    return kernel.LOAD_THETA if after and p[kernel.GAP] > 0.0 else kernel.THETA
+
+
+def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """The kernel's state at a start: motor and load at one speed, the gap between them taken up by ``play``."""
     state = np.zeros(STATE_SIZE)
-    state[kernel.THETA] = state[kernel.LOAD_THETA] = theta_deg
-    state[kernel.OMEGA] = state[kernel.LOAD_OMEGA] = omega_deg_s
+    lead = 0.5 * p[kernel.GAP] * start.play if on[kernel.BACKLASH] else 0.0
+    state[kernel.THETA] = state[kernel.LOAD_THETA] = start.angle
+    if seen_angle(p, on) == kernel.THETA:
+        state[kernel.LOAD_THETA] -= lead
+    else:
+        state[kernel.THETA] += lead
+    state[kernel.OMEGA] = state[kernel.LOAD_OMEGA] = start.speed
+    state[kernel.CONTACT] = start.play if abs(start.play) == 1.0 else 0.0
     return state
 
 
@@ -67,14 +88,8 @@ def run(
     return states
 
 
-def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
-    """Which angle of the state the encoder sees: the load's where it sits after a gap, else the motor's."""
-    after = on[EFFECT_INDEX["backlash"]] and p[kernel.SIDE] == _SIDE.choices.index("encoder_after_gap")
-    return kernel.LOAD_THETA if after and p[kernel.GAP] > 0.0 else kernel.THETA
-
-
-def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float) -> np.ndarray:
+def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float = 0.0) -> np.ndarray:
     """Angle (n) of the shaft as the encoder would see it without quantisation, in degrees."""
     p, on = model.vector(), model.switches()
-    states = run(excitation, p, on, model.substep_s(), rest_state(theta_deg, omega_deg_s))
+    states = run(excitation, p, on, model.substep_s(), start_state(Start(theta_deg, omega_deg_s), p, on))
     return np.asarray(states[:, seen_angle(p, on)])
