@@ -7,11 +7,13 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+import click
 import pytest
 
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.imports import TableMap
 from fiohost.bench.signals import KINDS
+from fiohost.cli.main import COMMANDS, cli
 from fiohost.motor.model import Model
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -98,3 +100,31 @@ def test_every_signal_and_its_keys_are_documented() -> None:
     for kind, cells in rows.items():
         keys = {field.name for field in fields(KINDS[kind])} - {"duration_s"}
         assert set(re.findall(r"`(\w+)`", re.sub(r"\(.*?\)", "", cells))) == keys, kind
+
+
+def shown_commands() -> list[tuple[str, str]]:
+    lines = [(where, line[2:]) for where, block in blocks("console") for line in block.splitlines() if line[:2] == "$ "]
+    indented = [
+        (page.name, line.strip())
+        for page in PAGES
+        if page.is_file()
+        for line in page.read_text(encoding="utf-8").splitlines()
+        if line.startswith("    fiohost ")
+    ]
+    return [(where, line) for where, line in (*lines, *indented) if "fiohost " in line]
+
+
+@pytest.mark.parametrize(("where", "line"), shown_commands())
+def test_every_command_shown_exists_with_its_options(where: str, line: str) -> None:
+    name, *words = re.split(r"[;|>]", line.partition("fiohost ")[2])[0].split()
+    assert name in COMMANDS, f"{where}: {line}"
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None
+    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    assert {word for word in words if word.startswith("-") and not word[1:2].isdigit()} <= known, f"{where}: {line}"
+
+
+def test_links_between_pages_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
