@@ -132,7 +132,7 @@ def test_the_page_is_one_file_that_fetches_nothing(tmp_path: Path) -> None:
     assert "close-loop &lt;seed&gt; &amp; 12" in html
     assert "<b>bench" not in html
     assert html.index("Missing from linear") < html.index("Error before and after") < html.index("The seal, opened")
-    assert "99.2 % less (95 % interval of the improvement: 99 .. 99.3 %)" in html
+    assert "99.2 % less (95 % interval of the improvement: 99.00 .. 99.30 %)" in html
     assert html.count("<svg") == 6
     assert len(html) < 3_000_000
     assert [p.name for p in path.parent.iterdir()] == ["page.html"]

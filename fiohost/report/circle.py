@@ -38,7 +38,7 @@ def confirm_series(circle: Circle) -> SeriesPlot:
     found = circle.confirmation
     record = found.record
     return SeriesPlot(
-        title=f"fresh record: {record.name}",
+        title=record.name,
         role="confirm",
         unit=record.unit,
         time_s=record.excitation.times_s,

@@ -26,7 +26,7 @@ from fiohost.report.words import effect_words, share
 # Okabe and Ito's palette, told apart in all common kinds of colour blindness and in print by line style
 MEASURED, BEFORE, AFTER, FLOOR, GREY = "#000000", "#D55E00", "#0072B2", "#009E73", "#7A7A7A"
 LINE_CYCLE = (AFTER, BEFORE, FLOOR, "#CC79A7", "#56B4E9", "#E69F00")
-ROLES = {"train": "used for the fit", "holdout": "held out", "confirm": "fresh record, never used before"}
+ROLES = {"train": "training", "holdout": "held out", "confirm": "fresh record, never used before"}
 MAX_POINTS = 3000
 STYLE: dict[Any, Any] = {
     "font.size": 10.0,
@@ -270,4 +270,4 @@ def _quantity(unit: str) -> str:
 
 
 def _short_role(log: Mapping[str, Any]) -> str:
-    return {"train": "fit", "holdout": "held out"}.get(str(log.get("role")), str(log.get("role")))
+    return {"train": "training", "holdout": "held out"}.get(str(log.get("role")), str(log.get("role")))

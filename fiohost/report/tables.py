@@ -78,7 +78,7 @@ def log_table(diagnosis: Mapping[str, Any]) -> Table:
         ratio = after / floor if after is not None and floor else None
         table.add_row(
             Text(Path(str(log.get("file", "?"))).name),
-            "held out" if log.get("role") == "holdout" else "fit",
+            "held out" if log.get("role") == "holdout" else "training",
             number(error_of(log, "before"), 3),
             number(after, 3),
             number(floor, 3),

@@ -57,11 +57,15 @@ def share(value: Any) -> str:
 
 
 def interval(parameter: Mapping[str, Any], digits: int = 4) -> str:
-    """The 95 % interval of one parameter, ``[lo, hi]``, or a dash."""
+    """The 95 % interval of one parameter, ``lo .. hi``, with as many digits as its width needs, or a dash."""
     bounds = parameter.get("ci95")
     if not isinstance(bounds, Sequence) or len(bounds) != 2 or any(number(b) == DASH for b in bounds):
         return DASH
-    return f"{number(bounds[0], digits)} .. {number(bounds[1], digits)}"
+    low, high = (float(b) for b in bounds)
+    largest, width = max(abs(low), abs(high)), high - low
+    if width > 0 and math.isfinite(width) and largest > 0:
+        digits = min(max(digits, 1 + math.ceil(math.log10(largest / width))), 8)
+    return f"{number(low, digits)} .. {number(high, digits)}"
 
 
 def remark(parameter: Mapping[str, Any]) -> str:
