@@ -55,6 +55,7 @@ def test_without_held_out_logs_the_training_error_is_what_is_told() -> None:
         result[key]["holdout"] = None
     assert "The training error falls from 21.3 deg to 0.151 deg" in words.verdict_sentence(result)
     assert "floor" in printed(result)
+    assert "held out\n" not in printed({**result, "logs": []})
 
 
 @pytest.mark.parametrize(

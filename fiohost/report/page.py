@@ -91,6 +91,8 @@ def render(
         declared=str((diagnosis.get("declared") or {}).get("model", "")),
         final=final,
         stages=list(_stages(diagnosis)),
+        roles=words.roles_of(diagnosis),
+        role_words=words.ROLE_WORDS,
         logs=[{**log, "name": Path(str(log.get("file", "?"))).name} for log in logs],
         error_of=words.error_of,
         interval=words.interval,

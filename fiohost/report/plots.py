@@ -134,7 +134,7 @@ def plot_candidates(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[st
         axes.annotate(
             f" {share(score)}" + ("  chosen" if mark else ""), (max(score, 0.0), position), va="center", fontsize=9
         )
-    axes.margins(x=0.16)
+    axes.set_xlim(0.0, 1.2 * max(float(scores.max(initial=0.0)), 1e-3))  # a negative score takes nothing: no bar
     axes.set_xlabel("score: share of the residual that the candidate takes (larger is more)")
     axes.set_title("Candidates")
     axes.grid(axis="y", visible=False)

@@ -5,7 +5,7 @@ Everything printed comes out of the diagnosis' JSON; text from files is never re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,18 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from fiohost.report.words import effect_words, error_of, interval, listed, number, remark, share, verdict_sentence
+from fiohost.report.words import (
+    ROLE_WORDS,
+    effect_words,
+    error_of,
+    interval,
+    listed,
+    number,
+    remark,
+    roles_of,
+    share,
+    verdict_sentence,
+)
 
 CANDIDATES_SHOWN = 8
 FILE_WIDTH = 132  # columns where the text goes to a file or pipe, which has no edge
@@ -51,18 +62,19 @@ def error_table(diagnosis: Mapping[str, Any]) -> Table:
     unit = str(diagnosis.get("output_unit", ""))
     table = _table(f"Error in {unit} rms" if unit else "Error rms")
     table.add_column("model", no_wrap=True)
-    for role in ("training", "held out"):
+    roles = roles_of(diagnosis)
+    for role in (ROLE_WORDS[r] for r in roles):
         table.add_column(f"{role}\nwhole run", justify="right")
         table.add_column(f"{role}\n1 s windows", justify="right")
     table.add_column("outside the\nencoder bin", justify="right")
     declared = str((diagnosis.get("declared") or {}).get("model", "declared"))
-    table.add_row(declared, *_error_cells(diagnosis.get("before")))
+    table.add_row(declared, *_error_cells(diagnosis.get("before"), roles))
     for step in diagnosis.get("steps") or []:
-        table.add_row(Text(f"+ {step.get('effect')}"), *_error_cells(step.get("after")))
+        table.add_row(Text(f"+ {step.get('effect')}"), *_error_cells(step.get("after"), roles))
     table.add_section()
     source = (diagnosis.get("floor") or {}).get("from")
     label = f"floor (from {source})" if source else "floor"
-    table.add_row(Text(label), *_error_cells(diagnosis.get("floor")), style="dim")
+    table.add_row(Text(label), *_error_cells(diagnosis.get("floor"), roles), style="dim")
     return table
 
 
@@ -128,10 +140,8 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> Table:
     return table
 
 
-def _error_cells(block: Any) -> list[str]:
-    cells = [
-        number(error_of(block, role, key), 3) for role in ("train", "holdout") for key in ("free_run_rms", "window_rms")
-    ]
+def _error_cells(block: Any, roles: Sequence[str]) -> list[str]:
+    cells = [number(error_of(block, role, key), 3) for role in roles for key in ("free_run_rms", "window_rms")]
     outside = error_of(block, "holdout", "bin_violation_pct")
     outside = error_of(block, "train", "bin_violation_pct") if outside is None else outside
     text = number(outside, 3)

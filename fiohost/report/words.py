@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 DASH = "–"
+ROLE_WORDS = {"train": "training", "holdout": "held out"}
 
 FOLLOWS = {
     "angle": "the shaft angle",
@@ -90,10 +91,14 @@ def effect_words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def roles_of(diagnosis: Mapping[str, Any]) -> list[str]:
+    """``train``, and ``holdout`` where there are held-out logs."""
+    return ["train", "holdout"] if (diagnosis.get("before") or {}).get("holdout") else ["train"]
+
+
 def judged(diagnosis: Mapping[str, Any]) -> str:
     """The role whose figures count: ``holdout`` where there is one, else ``train``."""
-    before = diagnosis.get("before") or {}
-    return "holdout" if before.get("holdout") else "train"
+    return roles_of(diagnosis)[-1]
 
 
 def error_of(block: Any, role: str, key: str = "free_run_rms") -> float | None:
@@ -161,4 +166,4 @@ def _change(diagnosis: Mapping[str, Any]) -> str:
 
 
 def _role(role: str) -> str:
-    return "held-out" if role == "holdout" else "training"
+    return ROLE_WORDS[role].replace(" ", "-")
