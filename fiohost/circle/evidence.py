@@ -25,17 +25,18 @@ def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) ->
 
 
 def check_roles(train: Sequence[Log], holdout: Sequence[Log]) -> None:
-    """Refuse a log that is there twice, above all in both roles. Raises DataError."""
-    seen: dict[str, tuple[str, Path]] = {}
-    for role, logs in (("training", train), ("held-out", holdout)):
-        for log in logs:
-            if log.sha256 in seen:
-                other_role, other = seen[log.sha256]
-                both = "is in both roles" if other_role != role else "is given twice"
-                raise DataError(
-                    f"{log.path} {both}: its contents are those of the {other_role} log {other}; give each log once"
-                )
-            seen[log.sha256] = (role, log.path)
+    """Refuse a log in both roles (by its contents), and a file that is given twice. Raises DataError."""
+    fitted = {log.sha256: log.path for log in train}
+    for log in holdout:
+        if log.sha256 in fitted:
+            raise DataError(
+                f"{log.path} is in both roles: its contents are those of the training log {fitted[log.sha256]}; "
+                "a held-out log must not be fitted"
+            )
+    paths = [log.path.resolve() for log in (*train, *holdout) if log.path.exists()]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise DataError(f"{path} is given twice; give each log once")
 
 
 def unique_names(logs: Sequence[Log]) -> list[str]:

@@ -24,12 +24,12 @@ REPLICAS = 32
 class Floor:
     """Floor figures of one record: their mean over replicas, or the scatter between repeats where that is larger.
 
-    ``draws`` holds the replicas' figures, from which thresholds are taken.
+    ``draws`` are the judgements of the replicas, from which thresholds are taken; their arrays are dropped.
     """
 
     errors: Errors
     source: str
-    draws: tuple[Errors, ...]
+    draws: tuple[Judgement, ...]
 
 
 def replica(record: Record, model: Model, start: Start, rng: np.random.Generator) -> np.ndarray:
@@ -87,8 +87,10 @@ def replica_floor(
     record: Record, model: Model, start: Start, models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
     """Floor of a record: replicas of the model from ``start``, each judged by the model that would be fitted to it."""
-    draws = tuple(judge(record, m, replica(record, model, start, rng)).errors for m in models)
-    return Floor(_mean(draws), "replicas", draws)
+    draws = [judge(record, m, replica(record, model, start, rng)) for m in models]
+    none = np.empty(0)
+    slim = tuple(replace(d, simulated=none, free_residual=none, window_residual=none) for d in draws)
+    return Floor(_mean([d.errors for d in draws]), "replicas", slim)
 
 
 def repeats(records: Sequence[Record]) -> list[list[int]]:

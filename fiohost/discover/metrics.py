@@ -12,6 +12,8 @@ from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
+WIDE = 1.15
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -42,6 +44,7 @@ class Judgement:
     simulated: np.ndarray
     free_residual: np.ndarray
     window_residual: np.ndarray
+    wide_windows_pct: float | None
 
 
 def _figures(y: np.ndarray, free: np.ndarray, windows: np.ndarray, quantum: float) -> Errors:
@@ -55,6 +58,17 @@ def _figures(y: np.ndarray, free: np.ndarray, windows: np.ndarray, quantum: floa
     )
 
 
+def _wide_windows(record: Record, residual: np.ndarray) -> float | None:
+    """Share of one-second windows whose residual (n) spans more than one count: no angle fits all their samples.
+
+    The true model has almost none, whatever the initial state of the run; None where the counts are not known.
+    """
+    if record.kind != ANGLE or record.quantum <= 0:
+        return None
+    spans = [float(np.ptp(residual[a:b])) for a, b in zip(record.windows[:-1], record.windows[1:], strict=True)]
+    return 100.0 * float(np.mean(np.array(spans) > WIDE * record.quantum))
+
+
 def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgement:
     """Judge a model on a record, or on other measurements ``y`` (n) of the same commands."""
     data = record.y if y is None else y
@@ -64,7 +78,8 @@ def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgemen
     simulated = read(record, flat, states)
     free = data - simulated
     windows = window_residuals(record, flat, states, data)
-    return Judgement(_figures(data, free, windows, record.quantum), start, simulated, free, windows)
+    figures = _figures(data, free, windows, record.quantum)
+    return Judgement(figures, start, simulated, free, windows, _wide_windows(record, windows))
 
 
 def pool(parts: Sequence[Errors]) -> Errors | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.identify.predict import Flat, free_output, free_states, initial_state, plays, window_residuals
+from fiohost.identify.predict import Flat, best_play, free_output, free_states, initial_state, window_residuals
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.kernel import GAIN
 from fiohost.motor.model import Model, slot
@@ -222,18 +222,21 @@ def _initial_starts(model: Model, records: Sequence[Record]) -> list[Start]:
 def _take_up_play(problem: _Problem, point: _Point) -> bool:
     """Put the motor on the side of its gap that suits each record's whole run best; whether any changed."""
     flat = problem.flat(point.p)
+    if not flat.gap:
+        return False
     changed = False
     for i, record in enumerate(problem.records):
-        best, least = point.starts[i], np.inf
-        for play in sorted(plays(flat), key=lambda side: side != point.starts[i].play):
-            start = point.starts[i]._replace(play=play)
-            residual = record.y - free_output(record, flat, start)
+        was = point.starts[i]
+
+        def left(play: float, record: Record = record, was: Start = was) -> tuple[float, float]:
+            residual = record.y - free_output(record, flat, was._replace(play=play))
             shift = float(residual.mean()) if record.kind == ANGLE else 0.0
-            cost = float(np.sum((residual - shift) ** 2))
-            if cost < least * (1.0 - 1e-6):
-                best, least = start._replace(angle=start.angle + shift), cost
-        if best.play != point.starts[i].play:
-            point.starts[i] = best
+            return float(np.sum((residual - shift) ** 2)), shift
+
+        play = best_play(flat, lambda p, left=left: left(p)[0])  # type: ignore[misc]
+        cost, shift = left(play)
+        if cost < left(was.play)[0] * (1.0 - 1e-4):
+            point.starts[i] = was._replace(play=play, angle=was.angle + shift)
             changed = True
     return changed
 

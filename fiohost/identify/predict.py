@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from fiohost.identify.record import ANGLE, Record
 from fiohost.identify.windows import fit_windows, read_output
@@ -12,6 +14,9 @@ from fiohost.motor.effect import effects
 from fiohost.motor.kernel import BACKLASH, GAIN, GAP, STATE_SIZE
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
+
+PLAYS_APART = 0.5
+PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,10 @@ def _speed_step(flat: Flat) -> float:
     return 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
 
 
-def _fit(record: Record, flat: Flat, y: np.ndarray, edges: np.ndarray, bases: np.ndarray, free_speed: bool):  # type: ignore[no-untyped-def]
+def _fit(
+    record: Record, flat: Flat, y: np.ndarray, edges: np.ndarray, bases: np.ndarray, free_speed: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residuals (n), angle shifts (m) and speeds (m) of windows fitted from ``bases`` (m, STATE_SIZE)."""
     ex = record.excitation
     longest = int(np.max(np.diff(edges)))
     residuals = np.zeros(int(edges[-1]))
@@ -81,9 +89,17 @@ def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
     return float(y[0]), slope
 
 
-def plays(flat: Flat) -> tuple[float, ...]:
-    """Where in a gap the motor may stand at a start; after any run it rests on one side."""
-    return (0.0, -1.0, 1.0) if flat.gap else (0.0,)
+def best_play(flat: Flat, cost: Callable[[float], float]) -> float:
+    """Where in a gap the motor stands at a start, -1 to 1: the sides, points between, and a finer search around
+    the best.
+    """
+    if not flat.gap:
+        return 0.0
+    tried = {play: cost(play) for play in PLAYS}
+    best = min(tried, key=lambda play: tried[play])
+    low, high = max(best - PLAYS_APART, -1.0), min(best + PLAYS_APART, 1.0)
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.01, "maxiter": 12})
+    return float(found.x) if found.fun < tried[best] * 0.999 else best
 
 
 def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> Start:
@@ -95,19 +111,21 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> St
     data = record.y if y is None else y
     angle, speed = initial_guess(record, data)
     edges = np.array([0, record.first_second()], dtype=np.int64)
-    best, least = Start(angle, speed), np.inf
-    for play in plays(flat):
+
+    def attempt(play: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         base = start_state(Start(angle, speed, play), flat.p, flat.on)[None, :]
-        residuals, shifts, speeds = _fit(record, flat, data, edges, base, not record.at_rest)
-        cost = float(residuals @ residuals)
-        if cost >= least:
-            continue
-        least = cost
-        found = angle + float(shifts[0])
-        if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
-            found += 0.5 * float(residuals.max() + residuals.min())
-        best = Start(found, float(speeds[0]), play)
-    return best
+        return _fit(record, flat, data, edges, base, not record.at_rest)
+
+    def cost(play: float) -> float:
+        residuals, _, _ = attempt(play)
+        return float(residuals @ residuals)
+
+    play = best_play(flat, cost)
+    residuals, shifts, speeds = attempt(play)
+    found = angle + float(shifts[0])
+    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
+        found += 0.5 * float(residuals.max() + residuals.min())
+    return Start(found, float(speeds[0]), play)
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
