@@ -114,13 +114,15 @@ def _detrended(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return out
 
 
-def scatter(records: Sequence[Record], group: Sequence[int]) -> tuple[float, float]:
-    """Free-run and window rms of the scatter between repeats of one experiment, in the output's unit."""
-    runs = np.array([records[i].y - records[i].y[0] for i in group])
-    correction = np.sqrt(len(group) / (len(group) - 1.0))
+def scatter(residuals: Sequence[np.ndarray], edges: np.ndarray) -> tuple[float, float]:
+    """Free-run and window rms of what differs between the residuals (n each) of repeats of one experiment.
+
+    Residuals, not outputs: repeats that begin at other angles differ in ways that the model knows.
+    """
+    runs = np.array(residuals)
+    correction = np.sqrt(len(runs) / (len(runs) - 1.0))
     deviations = (runs - runs.mean(axis=0)) * correction
     free = deviations - deviations.mean(axis=1, keepdims=True)
-    edges = records[group[0]].windows
     windows = np.array([_detrended(d, edges) for d in deviations])
     return float(np.sqrt(np.mean(free**2))), float(np.sqrt(np.mean(windows**2)))
 
@@ -135,7 +137,7 @@ def floors(
     """Floors of records by replicas of a model, as judged by ``models``; the scatter of repeats counts where larger."""
     found = [replica_floor(r, model, j.start, models, rng) for r, j in zip(records, judgements, strict=True)]
     for group in repeats(records):
-        free, windows = scatter(records, group)
+        free, windows = scatter([judgements[i].free_residual for i in group], records[group[0]].windows)
         for i in group:
             was = found[i].errors
             if windows > 1.1 * was.window_rms or free > 1.1 * was.free_run_rms:
