@@ -27,7 +27,7 @@ def nearest(name: str, choices: Iterable[str]) -> str:
 
 
 def config_dirs(kind: str) -> list[Path]:
-    """Folders that hold shipped files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's."""
+    """Folders of shipped files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's."""
     return [d for d in (_PACKAGE / "configs" / kind, _PACKAGE.parent / "configs" / kind) if d.is_dir()]
 
 
