@@ -1,0 +1,79 @@
+"""Short experiments for tests that need logs of a board and not the whole suite."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from fiohost.bench.connect import connect
+from fiohost.bench.experiment import ControlSettings, Experiment
+from fiohost.bench.log import Log
+from fiohost.bench.signals import Multisine, Pulses, RandomSteps, Square, Staircase
+
+
+def staircase(step_s: float = 1.0) -> Experiment:
+    levels = (8.0, 30.0, 80.0, 15.0, 0.0, -8.0, -30.0, -80.0, -15.0, 0.0)
+    return Experiment("short_staircase", (Staircase(duration_s=len(levels) * step_s, levels=levels, step_s=step_s),))
+
+
+def multisine(seconds: float = 10.0, seed: int = 3) -> Experiment:
+    tones = Multisine(duration_s=seconds, amplitude=70.0, period_s=10.0, low_hz=0.1, high_hz=6.0, count=12, seed=seed)
+    return Experiment(f"short_multisine_{seed}", (tones,))
+
+
+def random_steps(seconds: float = 10.0, seed: int = 5) -> Experiment:
+    steps = RandomSteps(duration_s=seconds, low=-80.0, high=80.0, hold_min_s=0.1, hold_max_s=0.9, seed=seed)
+    return Experiment(f"short_random_steps_{seed}", (steps,))
+
+
+def pulses() -> Experiment:
+    """Pulses that end in brake, then in standby."""
+    both = [
+        Pulses(duration_s=4.5, levels=(40.0, -40.0, 90.0), on_s=0.6, off_s=0.9, rest=rest)
+        for rest in ("brake", "standby")
+    ]
+    return Experiment("short_pulses", tuple(both))
+
+
+def closed_loop(seconds: float = 10.0) -> Experiment:
+    """P control of a square wave of 20 degrees, the deadband compensated: the command follows the counts."""
+    control = ControlSettings("p", 1.0, u_plus_pct=3.0, u_minus_pct=-3.0)
+    square = Square(duration_s=seconds, low=170.0, high=190.0, period_s=4.0)
+    return Experiment("short_closed_loop", reference=(square,), control=control)
+
+
+SUITE = (staircase(), multisine(seed=3), random_steps(seed=5), pulses())
+
+
+def logs_of(
+    target: str,
+    folder: Path,
+    experiments: Sequence[Experiment] = SUITE,
+    *,
+    seed: int | None = None,
+    metadata: Mapping[str, str] | None = None,
+) -> list[Log]:
+    """Logs of a simulated board, one file each in ``folder``, named by their experiments."""
+    with connect(target, seed=seed) as bench:
+        return [bench.run(e, folder / f"{e.name}.csv", extra_metadata=metadata) for e in experiments]
+
+
+def plant_file(folder: Path, name: str = "made", **changes: float | int | dict[str, object]) -> Path:
+    """A plant file made from the constants of ``ideal`` with some of them changed; effects as ``effects={...}``."""
+    values: dict[str, object] = {
+        "supply_V": 9.0,
+        "R_ohm": 5.5,
+        "Kt_Nm_per_A": 0.34,
+        "Ke_Vs_per_rad": 0.487,
+        "J_kgm2": 3.0e-3,
+        "coulomb_Nm": 0.02,
+    }
+    effects = changes.pop("effects", {})
+    lines = ['schema = "firmware_model.plant/1"'] + [f"{k} = {v!r}" for k, v in {**values, **changes}.items()]
+    assert isinstance(effects, dict)
+    for effect, parameters in effects.items():
+        lines.append(f"[effects.{effect}]")
+        lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v!r}" for k, v in parameters.items()]
+    path = folder / f"{name}.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
