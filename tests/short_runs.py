@@ -58,9 +58,13 @@ def logs_of(
         return [bench.run(e, folder / f"{e.name}.csv", extra_metadata=metadata) for e in experiments]
 
 
-def plant_file(folder: Path, name: str = "made", **changes: float | int | dict[str, object]) -> Path:
-    """A plant file made from the constants of ``ideal`` with some of them changed; effects as ``effects={...}``."""
-    values: dict[str, object] = {
+def plant_file(
+    folder: Path,
+    changes: Mapping[str, float] | None = None,
+    effects: Mapping[str, Mapping[str, float | str]] | None = None,
+) -> Path:
+    """A plant file made from the constants of ``ideal``, some of them changed, with effects in SI units."""
+    values: dict[str, float] = {
         "supply_V": 9.0,
         "R_ohm": 5.5,
         "Kt_Nm_per_A": 0.34,
@@ -68,12 +72,10 @@ def plant_file(folder: Path, name: str = "made", **changes: float | int | dict[s
         "J_kgm2": 3.0e-3,
         "coulomb_Nm": 0.02,
     }
-    effects = changes.pop("effects", {})
-    lines = ['schema = "firmware_model.plant/1"'] + [f"{k} = {v!r}" for k, v in {**values, **changes}.items()]
-    assert isinstance(effects, dict)
-    for effect, parameters in effects.items():
+    lines = ['schema = "firmware_model.plant/1"', *(f"{k} = {v!r}" for k, v in {**values, **(changes or {})}.items())]
+    for effect, parameters in (effects or {}).items():
         lines.append(f"[effects.{effect}]")
         lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v!r}" for k, v in parameters.items()]
-    path = folder / f"{name}.toml"
+    path = folder / "plant.toml"
     path.write_text("\n".join(lines) + "\n")
     return path

@@ -98,7 +98,7 @@ def test_the_agreement_is_sharp_enough_to_show_a_wrong_constant(tmp_path: Path) 
     ids=lambda changes: ",".join(f"{k}={v}" for k, v in changes.items()),
 )
 def test_on_other_motors_too(tmp_path: Path, changes: dict[str, float]) -> None:
-    plant = plant_file(tmp_path, **changes)
+    plant = plant_file(tmp_path, changes)
     model = physical_model(plant)
     experiments = [staircase(), multisine(10.0, 7), closed_loop()]
     if "B_Nms" not in changes:  # in standby viscous damping is alone: K and tau hold it together with the back-emf
