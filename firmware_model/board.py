@@ -16,8 +16,8 @@ _START = Command(compare=0, c3=0, c4=0)
 class Board:
     """A board with its motor. All that leaves it is the bytes returned by :meth:`step`.
 
-    ``seed`` draws what nobody can know of a bench before it moves: the shaft's angle within its first count and the place
-    of the gears in their play. Without a seed the shaft starts in the middle of its count and of the play.
+    ``seed`` draws what nobody can know of a bench before it moves: the shaft's angle within its first count and the
+    place of the gears in their play. Without a seed the shaft starts in the middle of its count and of the play.
     """
 
     def __init__(self, plant: Plant, *, seed: int | None = None) -> None:

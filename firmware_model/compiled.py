@@ -1,12 +1,13 @@
 """Compilation of the board's kernel, kept on disk between runs.
 
-Numba looks only at the file of the compiled function to tell whether a kept copy is stale; this kernel is put together
-from many files. So the copies lie in a folder named by a hash of all of them, in the user's cache, in the temporary folder
-where that cannot be written, or nowhere at all: then each process compiles for itself.
+Numba looks only at the file of the compiled function to tell whether a kept copy is stale; this kernel is put
+together from many files. So the copies lie in a folder named by a hash of all of them, in the user's cache, in the
+temporary folder where that cannot be written, or nowhere at all: then each process compiles for itself.
 """
 
 from __future__ import annotations
 
+import contextlib
 import getpass
 import hashlib
 import os
@@ -19,8 +20,11 @@ from typing import Any
 
 import numba
 
+numba_config: Any = numba.config
+njit: Any = numba.njit
+
 # The kernel allocates nothing and hands its arrays down; without reference counting those calls are free.
-OPTIONS = {"error_model": "numpy", "_nrt": False}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 
 def _fingerprint() -> str:
@@ -38,10 +42,8 @@ def _roots() -> Iterator[Path]:
     if named:
         yield Path(named)
     else:
-        try:
+        with contextlib.suppress(RuntimeError):  # no home is known for this user
             yield Path.home() / ".cache"
-        except RuntimeError:  # no home is known for this user
-            pass
     try:
         user = getpass.getuser()
     except (OSError, KeyError, ImportError):
@@ -65,14 +67,14 @@ def kept_in() -> str:
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a function that only the kernel calls."""
-    return numba.njit(**OPTIONS)(function)
+    return njit(**OPTIONS)(function)
 
 
 def entry(function: Callable[..., Any]) -> Any:
     """Compile a function called from Python: without the interpreter's lock, kept on disk where possible."""
-    saved = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = kept_in()
+    saved = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = kept_in()
     try:
-        return numba.njit(nogil=True, cache=bool(kept_in()), **OPTIONS)(function)
+        return njit(nogil=True, cache=bool(kept_in()), **OPTIONS)(function)
     finally:
-        numba.config.CACHE_DIR = saved
+        numba_config.CACHE_DIR = saved

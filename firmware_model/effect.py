@@ -1,16 +1,17 @@
 """What an effect is: its name, its equation, its parameters in SI units and where it acts.
 
-Every hook is a plain function that numba can compile; the kernel chains those of one kind together. A hook receives the
-value as left by the effects before it and returns its own version of it, so adding a torque reads ``return value - ...``.
+Every hook is a plain function that numba can compile; the kernel chains those of one kind together. A hook receives
+the value as left by the effects before it and returns its own version of it, so adding a torque reads ``return value
+- ...``.
 
 Signature of the hooks on the physics (all but ``command`` and ``measure``)::
 
     hook(value, theta, omega, effort, side, duty, time, y, p, k, s) -> value
 
-``theta`` rad and ``omega`` rad/s of the body concerned, ``effort`` the motor's torque Kt i in N m, ``side`` the direction
-of sliding (-1, 0, +1), ``duty`` the bridge's duty in percent, ``time`` s since power-on, ``y`` the whole state, ``p`` all
-parameters with this effect's own from index ``k`` on, ``s`` the index of this effect's own state in ``y``.
-``command(duty, p, k)`` and ``measure(angle_rad, p, k)`` are simpler.
+``theta`` rad and ``omega`` rad/s of the body concerned, ``effort`` the motor's torque Kt i in N m, ``side`` the
+direction of sliding (-1, 0, +1), ``duty`` the bridge's duty in percent, ``time`` s since power-on, ``y`` the whole
+state, ``p`` all parameters with this effect's own from index ``k`` on, ``s`` the index of this effect's own state in
+``y``. ``command(duty, p, k)`` and ``measure(angle_rad, p, k)`` are simpler.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Where the smooth motion ends: what counts as an event, and what the machine does at one.
 
-Starts, stops and reversals by dry friction with true stick, the meeting and parting of two bodies with play between them,
-an end of travel, and the end of a current through a diode. ``broken`` says whether a state lies beyond an event;
-``settle`` carries a state lying on one over to its next regime.
+Starts, stops and reversals by dry friction with true stick, the meeting and parting of two bodies with play between
+them, an end of travel, and the end of a current through a diode. ``broken`` says whether a state lies beyond an
+event; ``settle`` carries a state lying on one over to its next regime.
 """
 
 from __future__ import annotations
@@ -150,9 +150,8 @@ def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         return
     if m[FLOW] != 0 and y[CURRENT] * m[FLOW] <= 0.0:
         lost = drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
-        if m[MODE] == STANDBY or lost > 0.0:
-            if y[CURRENT] * m[FLOW] < 0.0 and abs(y[CURRENT]) < 1e-6:
-                y[CURRENT] = 0.0
+        if (m[MODE] == STANDBY or lost > 0.0) and y[CURRENT] * m[FLOW] < 0.0 and abs(y[CURRENT]) < 1e-6:
+            y[CURRENT] = 0.0
     if m[MODE] == STANDBY or y[CURRENT] != 0.0:
         m[FLOW] = sign(y[CURRENT])
     else:

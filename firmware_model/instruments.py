@@ -37,7 +37,9 @@ class Instruments:
         The mass's own inertia is not added, as in the appendix's torque constant test.
         """
         if not (math.isfinite(mass_kg) and math.isfinite(drum_radius_m)) or mass_kg < 0.0:
-            raise FirmwareModelError(f"a hanging mass needs mass_kg >= 0 and a finite radius, not {mass_kg}, {drum_radius_m}")
+            raise FirmwareModelError(
+                f"a hanging mass needs mass_kg >= 0 and a finite radius, not {mass_kg}, {drum_radius_m}"
+            )
         self._hung_Nm = -mass_kg * GRAVITY_M_S2 * drum_radius_m
         self._motor.set_external_torque(self._hung_Nm + self._hand_Nm)
 

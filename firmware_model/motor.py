@@ -66,7 +66,7 @@ def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
 
 
 class Motor:
-    """A motor at rest at power-on; ``within_count`` and ``within_gap`` (0..1) place it in its first count and its play."""
+    """A motor at rest at power-on; ``within_count`` and ``within_gap`` (0..1) place it in its count and its play."""
 
     def __init__(self, plant: Plant, *, within_count: float = 0.5, within_gap: float = 0.5) -> None:
         p, on = constants(plant)

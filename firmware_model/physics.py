@@ -1,7 +1,7 @@
 """The laws of the machine: currents, torques and the rates of the state between two events.
 
-Within one step the directions of sliding and the closed face of the gap are held (they are switches, not functions of the
-speed), so that the rates are smooth and a step may look beyond an event before it is cut there.
+Within one step the directions of sliding and the closed face of the gap are held (they are switches, not functions of
+the speed), so that the rates are smooth and a step may look beyond an event before it is cut there.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def inertias(time, y, duty, p, on):  # type: ignore[no-untyped-def]
 
 @part
 def spring(y, p):  # type: ignore[no-untyped-def]
-    """Torque that a springy coupling (with play) takes from the motor and gives to the load, N m; it never pulls back."""
+    """Torque of a springy coupling, from motor to load, N m; with play in it, it only pushes."""
     twist = y[THETA] - y[LOAD_THETA]
     half = p[HALF_GAP]
     if abs(twist) <= half and half > 0.0:

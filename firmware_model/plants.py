@@ -34,7 +34,8 @@ SCHEMA = "firmware_model.plant/1"
 class Plant:
     """Constants of a motor referred to its output shaft, SI units; ``effects`` maps a name to its SI parameters.
 
-    ``supply_V`` is the winding's voltage at full duty. ``J_kgm2`` is all inertia, loads behind a gap or spring included.
+    ``supply_V`` is the winding's voltage at full duty. ``J_kgm2`` is all inertia, loads behind a gap or spring
+    included.
     """
 
     name: str

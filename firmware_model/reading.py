@@ -11,14 +11,14 @@ from firmware_model.effect import Parameter
 from firmware_model.errors import FirmwareModelError
 
 # Degrees are what people measure; the kernel computes in radians.
-CONVERSIONS = {("deg", "rad"): math.pi / 180.0, ("deg_s", "rad_s"): math.pi / 180.0, ("mH", "H"): 1e-3, ("ms", "s"): 1e-3}
+CONVERSIONS = {("deg", "rad"): math.pi / 180.0, ("deg_s", "rad_s"): math.pi / 180.0}
 
 
 def _accepted(key: str) -> dict[str, float]:
     """The spellings of a key with their factors to the unit in it."""
     spellings = {key: 1.0}
     for (given, wanted), factor in CONVERSIONS.items():
-        if wanted in ("rad", "rad_s") and key.endswith(f"_{wanted}"):
+        if key.endswith(f"_{wanted}"):
             spellings[key.removesuffix(wanted) + given] = factor
     return spellings
 

@@ -1,6 +1,7 @@
 """The target's own report parser and telemetry, with its habits. Layout "assumed" (the vendor's is not public).
 
-OUT, 64 bytes: f32 duty at 0, u8 C3 at 4, u8 C4 at 5. IN, 64 bytes: u8 direction at 0, u16 POS at 1. Little-endian, packed.
+OUT, 64 bytes: f32 duty at 0, u8 C3 at 4, u8 C4 at 5. IN, 64 bytes: u8 direction at 0, u16 POS at 1. Little-endian,
+packed.
 """
 
 from __future__ import annotations

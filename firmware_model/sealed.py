@@ -26,7 +26,7 @@ EFFECTS = (
 
 def _between(rng: random.Random, low: float, high: float) -> float:
     """Log-uniform, so that small and large sizes are met equally often."""
-    return low * (high / low) ** rng.random()
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
 def _motor(rng: random.Random) -> dict[str, Any]:

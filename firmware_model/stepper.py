@@ -1,7 +1,8 @@
-"""Integration between events: Dormand and Prince's pair of orders 5 and 4 with step control, and events located by bisection.
+"""Integration between events: Dormand and Prince's pair of orders 5 and 4; events are located by bisection.
 
-The step adapts itself, so a winding's milliseconds, a bristle's stiffness and a minute's warming need no setting. A step
-that ends beyond an event is taken again and again with half the uncertainty, until the event's time is known to 2^-46 of it.
+The step adapts itself, so a winding's milliseconds, a bristle's stiffness and a minute's warming need no setting. A
+step that ends beyond an event is taken again and again with half the uncertainty, until the event's time is known to
+2^-46 of it.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def error(h, w, n):  # type: ignore[no-untyped-def]
             - 1.0 / 40.0 * w[7, i]
         )
         allowed = ANGLE_RAD
-        if i == OMEGA or i == LOAD_OMEGA:
+        if i in (OMEGA, LOAD_OMEGA):
             allowed = SPEED_RAD_S
         elif i == CURRENT:
             allowed = CURRENT_A
@@ -124,5 +125,3 @@ def advance_step(y, r, m, w, until, p, on, duty, fresh):  # type: ignore[no-unty
     m[EVENTS] += 1
     settle(r[TIME], y, m, duty, p, on)
     return True
-
-

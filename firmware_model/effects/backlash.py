@@ -1,9 +1,9 @@
 """Play in the gears between the motor and its load.
 
 With a load inertia the two bodies move apart in the gap and meet in a rigid, inelastic impact: momentum is kept, the
-faces stay together until the contact force would have to pull. That is the limit of a stiff, well damped tooth; it adds no
-stiffness nobody knows. Without load inertia the far side is a disc of no mass, held by the slightest friction: play.
-The motor's friction stays on the motor's side; loads (weight, gravity) act beyond the gap.
+faces stay together until the contact force would have to pull. That is the limit of a stiff, well damped tooth; it
+adds no stiffness nobody knows. Without load inertia the far side is a disc of no mass, held by the slightest
+friction: play. The motor's friction stays on the motor's side; loads (weight, gravity) act beyond the gap.
 """
 
 import math
@@ -13,7 +13,7 @@ from firmware_model.effect import Effect, Parameter
 EFFECT = Effect(
     name="backlash",
     summary="play in the gears, with the encoder on the load's or on the motor's side of it",
-    equation="|theta_motor - theta_load| <= gap/2; force only pushes; omega+ = (Jm omega_m + Jl omega_l)/(Jm + Jl) at impact",
+    equation="|theta_m - theta_l| <= gap/2; force only pushes; at impact omega = (Jm omega_m + Jl omega_l)/(Jm + Jl)",
     parameters=(
         Parameter("gap_rad", lower=0.0, upper=math.pi),
         Parameter("side", default=0.0, choices=("encoder_after_gap", "encoder_before_gap")),
