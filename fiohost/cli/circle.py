@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fiohost.cli.output import json_option, output_for
+from fiohost.cli.output import json_option, make_folder, output_for
 from fiohost.cli.progress import progress
 
 
@@ -51,6 +51,8 @@ def close_loop(target: str, seed: int | None, model: str, report: Path | None, j
     seal = _open_seal(circle.fresh_log.path) if target == "sim:sealed" else None
     result = circle.to_json(diagnosis, seal)
     print_circle(say.console, result)
+    circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
+    say.json(result)  # before the pictures, so that a full disk does not cost the result
     series = [confirm_series(circle), *series_of(circle.diagnosis)]
     save_plots(folder, series, diagnosis, curves_of(circle.diagnosis))
     page = folder / "report.html"
@@ -58,24 +60,17 @@ def close_loop(target: str, seed: int | None, model: str, report: Path | None, j
         page, title="The closed circle", diagnosis=diagnosis, series=series, seal=seal,
         confirm=circle.confirmation.to_json(), curves=curves_of(circle.diagnosis),
     )  # fmt: skip
-    circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
     say(f"page: {page}")
-    say.json(result)
 
 
 def _folder(report: Path | None) -> Path:
-    """The folder asked for, or the first free ``close-loop-N`` here. Raises LogError if it cannot be made."""
-    from fiohost.errors import LogError
-
+    """The folder asked for, or the first free ``close-loop-N`` here. Raises FiohostError if it cannot be made."""
     folder = report
     number = 1
     while folder is None or (report is None and folder.exists()):
         folder = Path(f"close-loop-{number}")
         number += 1
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise LogError(f"cannot make the folder {folder}: {exc.strerror}") from exc
+    make_folder(folder)
     return folder
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.output import check_writable, json_option, output_for
+from fiohost.cli.output import check_not_input, check_writable, json_option, make_folder, output_for
 from fiohost.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -64,6 +64,10 @@ def diagnose(
     declared = Model.parse(model)
     if save_model is not None:
         check_writable(save_model)
+    for output in (json_to, save_model):
+        check_not_input(output, (*logs, *holdout))
+    if report is not None:
+        make_folder(report)
 
     def announce(train: Sequence[Log], held: Sequence[Log]) -> None:
         for role, group in (("training", train), ("held out", held)):
@@ -79,6 +83,7 @@ def diagnose(
     if save_model is not None:
         found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
         say(f"model written to {save_model}")
+    say.json(result)  # before the pictures, so that a full disk does not cost the result
     if report is not None:
         from fiohost.report.diagnosis import curves_of, series_of
         from fiohost.report.page import write_page
@@ -88,7 +93,6 @@ def diagnose(
         save_plots(report, series, result, curves)
         write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
         say(f"page and plots in {report}")
-    say.json(result)
 
 
 @click.command()
@@ -114,6 +118,7 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
 
     say = output_for(json_to)
     check_writable(output)
+    check_not_input(output, [log])
     chosen = Model.parse(model)
     (source,) = read_logs([log], table_map)
     found = replay(source, chosen)

@@ -9,7 +9,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
@@ -89,6 +89,21 @@ def check_writable(path: str | Path) -> None:
         raise FiohostError(f"cannot write {path}: there is no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise FiohostError(f"cannot write {path}: permission denied")
+
+
+def check_not_input(output: str | Path | None, inputs: Iterable[Path]) -> None:
+    """Refuse to write over what is read. Raises FiohostError."""
+    for path in inputs if output is not None else ():
+        if Path(output or "").resolve() == path.resolve():
+            raise FiohostError(f"cannot write {output}: it is the log to be read; give another name")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for pages and plots, before the work that fills it. Raises FiohostError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise FiohostError(f"cannot make the folder {folder}: {exc.strerror}") from exc
 
 
 def plain(value: Any) -> Any:
