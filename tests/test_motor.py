@@ -165,7 +165,7 @@ def test_every_effect_says_what_it_is_and_vanishes_at_its_neutral_value() -> Non
         assert effect.summary
         assert effect.equation
         assert effect.source
-        if name in ("linear", "coulomb_friction"):
+        if name in ("linear", "coulomb_friction") or all(p.neutral is None for p in effect.parameters):
             continue
         neutral = {p.name: p.neutral for p in effect.parameters if p.neutral is not None}
         y = free_run(base.with_effect(name, neutral), ex, 3.0, 0.0)

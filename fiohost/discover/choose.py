@@ -24,7 +24,7 @@ from fiohost.motor.model import Model
 T = TypeVar("T")
 R = TypeVar("R")
 
-STARTS = 3
+STARTS = 4
 CLOSE = 1.03
 SIGMAS_FROM_NEUTRAL = 3.0
 LEAST_CV_GAIN = 0.01

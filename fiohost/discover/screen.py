@@ -15,21 +15,36 @@ import numpy as np
 from fiohost.identify.fit import Fit, project
 from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import ANGLE, Record
-from fiohost.motor.effect import Effect, Value, effects
+from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
 BLOCKS_A_RECORD = 10
 FLIPS = 400
+BEST_TRIALS = 3
+
+Trial = dict[str, Value]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One way in which an effect may act: trial values, and the orthonormal signatures (n, 1 or 2) they leave.
+
+    ``share`` is the part of the residual's power along them, zero where physics forbids the sign.
+    """
+
+    trial: Trial
+    basis: np.ndarray
+    share: float
 
 
 @dataclass(frozen=True)
 class Score:
-    """One effect against the residual: the best share of its power over the trials, and the trials, best first."""
+    """One effect against the residual: its directions, best first, and the trials from which to refit it."""
 
     effect: Effect
     share: float
-    trials: tuple[dict[str, Value], ...]
-    signature: np.ndarray
+    trials: tuple[Trial, ...]
+    directions: tuple[Direction, ...]
 
 
 def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Effect]:
@@ -37,7 +52,16 @@ def candidates(model: Model, records: Sequence[Record], library: Sequence[str] |
     names = effects() if library is None else library
     rotary = all(r.rotary and r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    return [e for e in chosen if e.trials and (rotary or not e.angle_bound)]
+    return [e for e in chosen if (e.trials or e.trials_for) and (rotary or not e.angle_bound)]
+
+
+def span_of(records: Sequence[Record]) -> Span:
+    """What the records cover."""
+    begin = min(r.excitation.clock_s for r in records)
+    end = max(r.excitation.clock_s + r.seconds for r in records)
+    angles = [r.y for r in records if r.kind == ANGLE]
+    low = min((float(y.min()) for y in angles), default=0.0)
+    return Span((begin, end), (low, max((float(y.max()) for y in angles), default=0.0)))
 
 
 class Screen:
@@ -46,6 +70,7 @@ class Screen:
     def __init__(self, fit: Fit, records: Sequence[Record]) -> None:
         self.fit = fit
         self.records = records
+        self.span = span_of(records)
         flat = Flat.of(fit.model)
         self._base = [free_output(r, flat, s) for r, s in zip(records, fit.starts, strict=True)]
         jacobian = np.vstack(fit.jacobians) if fit.names else np.empty((fit.samples, 0))
@@ -60,30 +85,68 @@ class Screen:
         flat = np.concatenate(parts)
         return np.asarray(flat - self._own @ (self._own.T @ flat))
 
-    def signature(self, effect: Effect, trial: dict[str, Value]) -> np.ndarray:
-        """Unit signature (n) of an effect at a trial size; zero where it shows nothing."""
+    def signature(self, effect: Effect, trial: Trial) -> np.ndarray:
+        """What adding an effect at a trial size changes (n), cleaned; zero where nothing of its own is left."""
         model = self.fit.model.with_effect(effect.name, trial)
         flat = Flat.of(model)
         change = [
             free_output(r, flat, s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
         ]
         cleaned = self.clean(change)
-        size = float(np.linalg.norm(cleaned))
         raw = float(np.sqrt(sum(float(c @ c) for c in change)))
-        return cleaned / size if size > 1e-6 * max(raw, 1e-12) and size > 0 else np.zeros_like(cleaned)
+        return cleaned if float(np.linalg.norm(cleaned)) > 1e-6 * raw else np.zeros_like(cleaned)
+
+    def _single(self, effect: Effect, trial: Trial, one_sided: bool) -> Direction:
+        signature = self.signature(effect, trial)
+        size = float(np.linalg.norm(signature))
+        if size == 0.0 or self.power == 0.0:
+            return Direction(trial, np.zeros((len(signature), 1), dtype=np.float32), 0.0)
+        along = float(signature @ self.residual) / size
+        share = along * along / self.power if along > 0.0 or not one_sided else 0.0
+        return Direction(_scaled(effect, trial, along / size), (signature / size)[:, None].astype(np.float32), share)
+
+    def _pair(self, effect: Effect, sine: Trial, cosine: Trial) -> Direction:
+        """A sine and a cosine together: any phase, so any sign."""
+        both = np.column_stack((self.signature(effect, sine), self.signature(effect, cosine)))
+        if self.power == 0.0 or np.any(np.linalg.norm(both, axis=0) == 0.0):
+            return Direction(sine, np.zeros((len(both), 2), dtype=np.float32), 0.0)
+        basis, triangle = np.linalg.qr(both)
+        along = basis.T @ self.residual
+        a, b = np.linalg.lstsq(triangle, along, rcond=None)[0]
+        size = next(p for p in effect.parameters if p.neutral is not None and p.is_smooth)
+        phase = next(p for p in effect.parameters if p.period is not None)
+        level = float(np.clip(float(np.hypot(a, b)) * float(sine[size.name]), size.lower, size.upper))
+        trial: Trial = {**sine, size.name: level, phase.name: float(np.degrees(np.arctan2(b, a)))}
+        return Direction(trial, basis.astype(np.float32), float(along @ along) / self.power)
 
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
-        one_sided = all(p.neutral is None or p.lower >= p.neutral or p.upper <= p.neutral for p in effect.parameters)
-        rated = []
-        for trial in effect.trials:
-            signature = self.signature(effect, dict(trial))
-            along = float(signature @ self.residual)
-            share = along * along / self.power if self.power > 0 else 0.0
-            rated.append((share if along > 0 or not one_sided else -share, dict(trial), signature))
-        rated.sort(key=lambda item: item[0], reverse=True)
-        best = rated[0]
-        return Score(effect, max(best[0], 0.0), tuple(t for _, t, _ in rated), best[2])
+        trials = [dict(t) for t in (effect.trials_for(self.span) if effect.trials_for else effect.trials)]
+        if effect.linear_pairs:
+            found = [self._pair(effect, a, b) for a, b in zip(trials[::2], trials[1::2], strict=True)]
+        else:
+            sized = [p for p in effect.parameters if p.neutral is not None]
+            one_sided = bool(sized) and all(p.lower >= p.neutral or p.upper <= p.neutral for p in sized)  # type: ignore[operator]
+            found = [self._single(effect, t, one_sided) for t in trials]
+        order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
+        starts: list[Trial] = []
+        for i in order[:BEST_TRIALS]:
+            starts.append(found[i].trial)
+            if not effect.linear_pairs and found[i].trial != trials[i]:
+                starts.append(trials[i])
+        share = found[order[0]].share if found else 0.0
+        return Score(effect, share, tuple(starts), tuple(found[i] for i in order))
+
+
+def _scaled(effect: Effect, trial: Trial, factor: float) -> Trial:
+    """A trial grown to the size that the residual asks for, within bounds; as it is where it has no single size."""
+    sized = [p for p in effect.parameters if p.neutral is not None and p.is_smooth]
+    if len(sized) != 1 or not np.isfinite(factor):
+        return trial
+    parameter = sized[0]
+    neutral = float(parameter.neutral or 0.0)
+    value = neutral + factor * (float(trial[parameter.name]) - neutral)
+    return {**trial, parameter.name: float(np.clip(value, parameter.lower, parameter.upper))}
 
 
 def chance_share(
@@ -94,24 +157,30 @@ def chance_share(
     level: float = 0.99,
     draws: int = 60,
 ) -> float:
-    """Share of the residual's power that the best of all candidates reaches by chance, at the given level.
+    """Share of the residual's power that the best of all trials of all candidates reaches by chance, at the given
+    level.
 
     Two worlds without any missing effect, the larger counts: the residual itself with random signs in blocks of time,
     which keeps its colour and power, and replicas of the fitted model through the sensor.
     """
-    signatures = np.column_stack([s.signature for s in scores])
+    directions = [d for s in scores for d in s.directions]
+    basis = np.concatenate([d.basis for d in directions], axis=1)
+    owner = np.repeat(np.arange(len(directions)), [d.basis.shape[1] for d in directions])
+
+    def best(along: np.ndarray) -> np.ndarray:
+        """The largest share of any direction for each row of projections (draws, columns)."""
+        powers = np.zeros((len(along), len(directions)))
+        np.add.at(powers.T, owner, (along**2).T)
+        return np.asarray(powers.max(axis=1) / screen.power)
+
     lengths = [len(r) for r in screen.records]
     blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
     order = np.flatnonzero(np.diff(blocks, prepend=-1))
-    sums = np.add.reduceat(signatures * screen.residual[:, None], order, axis=0)
+    sums = np.add.reduceat(basis * screen.residual[:, None].astype(np.float32), order, axis=0)
     signs = rng.choice((-1.0, 1.0), size=(FLIPS, len(sums)))
-    flipped = np.max((signs @ sums) ** 2, axis=1) / screen.power
-    chance = float(np.quantile(flipped, level))
+    chance = float(np.quantile(best(signs @ sums), level))
     if replicas is not None:
-        worst = []
-        for _ in range(draws):
-            noise = screen.clean(replicas(rng))
-            worst.append(float(np.max((noise @ signatures) ** 2)) / screen.power)
+        noise = np.array([screen.clean(replicas(rng)) for _ in range(draws)], dtype=np.float32)
         # The largest of many draws stands for the level, with a margin for its own scatter.
-        chance = max(chance, 1.5 * float(np.max(worst)))
+        chance = max(chance, 1.5 * float(best(noise @ basis).max()))
     return chance

@@ -15,9 +15,9 @@ import numpy as np
 from fiohost.errors import DataError
 from fiohost.identify.predict import Flat, best_play, free_output, free_states, initial_state, window_residuals
 from fiohost.identify.record import ANGLE, Record
-from fiohost.motor.kernel import GAIN
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
+from fiohost.motor.state import GAIN
 
 MAX_ITERATIONS = 40
 PLAY_ROUNDS = 2

@@ -11,9 +11,9 @@ from scipy.optimize import minimize_scalar
 from fiohost.identify.record import ANGLE, Record
 from fiohost.identify.windows import fit_windows, read_output
 from fiohost.motor.effect import effects
-from fiohost.motor.kernel import BACKLASH, GAIN, GAP, STATE_SIZE
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
+from fiohost.motor.state import BACKLASH, GAIN, GAP, STATE_SIZE
 
 PLAYS_APART = 0.5
 PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
@@ -42,7 +42,7 @@ class Flat:
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
     """The record's output (n) from simulated states (n, STATE_SIZE)."""
     y = np.empty(len(states))
-    read_output(record.excitation.times_s, states, record.kind, flat.seen, y)
+    read_output(record.excitation.times_s, states, record.kind, flat.seen, flat.p, flat.on, y)
     return y
 
 
@@ -71,8 +71,8 @@ def _fit(
     shifts, omegas = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
     work = np.empty((3, longest))
     fit_windows(
-        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, y, edges, bases, free_speed, flat.bends, record.kind,
-        flat.seen, flat.substep_s, flat.p, flat.on, _speed_step(flat), residuals, shifts, omegas,
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, edges, bases, free_speed, flat.bends,
+        record.kind, flat.seen, flat.substep_s, flat.p, flat.on, _speed_step(flat), residuals, shifts, omegas,
         np.empty(STATE_SIZE), work[0], np.empty((longest, STATE_SIZE)), work[1], work[2],
     )  # fmt: skip
     return residuals, shifts, omegas

@@ -7,18 +7,20 @@ angle). Gauss-Newton with one finite difference for the speed, and one for the a
 from __future__ import annotations
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.motor.kernel import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA, simulate
+from fiohost.motor.hooks import measure
+from fiohost.motor.kernel import simulate
+from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 
 
 @inlined
-def output(times, states, first, count, kind, seen, y):  # type: ignore[no-untyped-def]
+def output(times, states, first, count, kind, seen, p, on, y):  # type: ignore[no-untyped-def]
     """The measured quantity (count) from states: angle, speed, or mean speed over the interval before."""
     rate = OMEGA if seen == THETA else LOAD_OMEGA
     for i in range(count):
         if kind == ANGLE:
-            y[i] = states[i, seen]
+            y[i] = measure(states[i, seen], p, on)
         elif kind == SPEED or i == 0:
             y[i] = states[i, rate]
         else:
@@ -26,9 +28,9 @@ def output(times, states, first, count, kind, seen, y):  # type: ignore[no-untyp
 
 
 @compiled
-def read_output(times, states, kind, seen, y):  # type: ignore[no-untyped-def]
+def read_output(times, states, kind, seen, p, on, y):  # type: ignore[no-untyped-def]
     """``output`` for a whole record, from Python."""
-    output(times, states, 0, states.shape[0], kind, seen, y)
+    output(times, states, 0, states.shape[0], kind, seen, p, on, y)
 
 
 @inlined
@@ -48,6 +50,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
     act_times,
     duties,
     modes,
+    clock,
     y,
     edges,
     bases,
@@ -79,15 +82,15 @@ def fit_windows(  # type: ignore[no-untyped-def]
         base = bases[w]
         shift, omega = 0.0, base[OMEGA]
         _move(state, base, shift, omega)
-        simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
-        output(times, states, a, n, kind, seen, y0)
+        simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+        output(times, states, a, n, kind, seen, p, on, y0)
         if kind == ANGLE:
             for i in range(n):
                 shift += (y[a + i] - y0[i]) / n
             if bends:
                 _move(state, base, shift, omega)
-                simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
-                output(times, states, a, n, kind, seen, y0)
+                simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+                output(times, states, a, n, kind, seen, p, on, y0)
             else:
                 for i in range(n):
                     y0[i] += shift
@@ -98,8 +101,8 @@ def fit_windows(  # type: ignore[no-untyped-def]
         for _ in range(12):
             # Columns: speed by difference; angle by difference or exactly one.
             _move(state, base, shift, omega + speed_step)
-            simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
-            output(times, states, a, n, kind, seen, y1)
+            simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+            output(times, states, a, n, kind, seen, p, on, y1)
             if kind == ANGLE and not bends:
                 for i in range(n):
                     y1[i] += shift
@@ -114,8 +117,8 @@ def fit_windows(  # type: ignore[no-untyped-def]
                 if bends:
                     angle_step = speed_step * 0.01
                     _move(state, base, shift + angle_step, omega)
-                    simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
-                    output(times, states, a, n, kind, seen, y1)
+                    simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+                    output(times, states, a, n, kind, seen, p, on, y1)
                     for i in range(n):
                         g = (y1[i] - y0[i]) / angle_step
                         aa += g * g
@@ -139,8 +142,8 @@ def fit_windows(  # type: ignore[no-untyped-def]
                     step_speed = (s22 * rs - sa * ra) / det
                     step_angle = (s11 * ra - sa * rs) / det
                 _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
-                simulate(times, act_times, duties, modes, a, b, state, substep, p, on, states)
-                output(times, states, a, n, kind, seen, y1)
+                simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+                output(times, states, a, n, kind, seen, p, on, y1)
                 new = 0.0
                 for i in range(n):
                     if kind == ANGLE and not bends:

@@ -6,13 +6,17 @@ An effect says where it acts by giving hooks, plain functions of numbers which t
     the duty that really acts, a static map; effects apply in the order of their ``stage``.
 ``torque(theta_deg, omega_deg_s, time_s, duty_pct, q)``
     torque added to the drive, in percent of duty; a load returns a negative value where it opposes forward motion.
-``friction(theta_deg, omega_deg_s, time_s, drive_pct, direction, q)``
-    sliding friction added to the level, in percent, at least zero in sum; direction is +1 or -1.
+``current(i_pct, duty_pct, emf_pct, time_s, winding, q)``
+    the current in percent of stall, of what came so far (at first duty minus back-emf); ``winding`` is its warmth.
+``friction(level_pct, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q)``
+    sliding friction of what came so far, in percent; direction is +1 or -1, ``bearing`` how warm it has run.
 ``breakaway(q)``
     static friction above sliding friction, in percent.
+``measure(theta_deg, q)``
+    the angle that the encoder shows.
 
 ``q`` is the array of the effect's own parameters in their declared order. Effects that change the structure or the
-timing (``linear``, ``transport_delay``, ``backlash``) have no hook: the kernel knows them by name.
+timing (``linear``, ``transport_delay``, ``backlash``, ...) have no hook: the kernel knows them by name.
 """
 
 from __future__ import annotations
@@ -48,10 +52,16 @@ class Parameter:
     relative_step: bool = False
     choices: tuple[str, ...] = ()
     period: float | None = None
+    whole: bool = False
 
     @property
     def is_choice(self) -> bool:
         return bool(self.choices)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether a gradient means anything: neither a choice nor a whole number, which are found by trying."""
+        return not self.choices and not self.whole
 
     def check(self, value: object, where: str) -> Value:
         """Return the value if it is allowed. Raises ModelError with the reason."""
@@ -71,11 +81,21 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Span:
+    """What the data cover: the bench's time in seconds and the shaft's angle in degrees."""
+
+    time_s: tuple[float, float]
+    angle_deg: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Effect:
     """One physical effect, its equation and parameters, where it acts and what it cannot be told from.
 
     ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
-    data cannot tell apart; all their names are reported whatever it is.
+    data cannot tell apart; all their names are reported whatever it is. ``linear_pairs`` says that consecutive trials
+    are a sine and a cosine of one effect. ``trials_for`` makes trials that depend on what the data cover.
+    ``substep_s`` is the longest step over which the effect may be frozen.
     """
 
     name: str
@@ -92,10 +112,14 @@ class Effect:
     equivalents: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
     trials: tuple[Mapping[str, Value], ...] = ()
+    trials_for: Callable[[Span], tuple[Mapping[str, Value], ...]] | None = field(default=None, repr=False)
+    linear_pairs: bool = False
     command: Callable[..., float] | None = field(default=None, repr=False)
+    current: Callable[..., float] | None = field(default=None, repr=False)
     torque: Callable[..., float] | None = field(default=None, repr=False)
     friction: Callable[..., float] | None = field(default=None, repr=False)
     breakaway: Callable[..., float] | None = field(default=None, repr=False)
+    measure: Callable[..., float] | None = field(default=None, repr=False)
 
     def parameter(self, name: str) -> Parameter:
         for parameter in self.parameters:

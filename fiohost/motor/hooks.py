@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from fiohost.motor.compiled import inlined
 from fiohost.motor.effect import effects, layout
 
@@ -49,13 +47,24 @@ def _torque_link(before: Any, hook: Any, index: int, first: int, last: int) -> A
     return torque
 
 
+def _current_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    @inlined
+    def current(i, duty, emf, time, winding, p, on):  # type: ignore[no-untyped-def]
+        i = before(i, duty, emf, time, winding, p, on)
+        if on[index]:
+            i = hook(i, duty, emf, time, winding, p[first:last])
+        return i
+
+    return current
+
+
 def _friction_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
     @inlined
-    def friction(theta, omega, time, drive, direction, p, on):  # type: ignore[no-untyped-def]
-        total = before(theta, omega, time, drive, direction, p, on)
+    def friction(level, theta, omega, time, drive, direction, bearing, p, on):  # type: ignore[no-untyped-def]
+        level = before(level, theta, omega, time, drive, direction, bearing, p, on)
         if on[index]:
-            total += hook(theta, omega, time, drive, direction, p[first:last])
-        return total
+            level = hook(level, theta, omega, time, drive, direction, bearing, p[first:last])
+        return level
 
     return friction
 
@@ -71,12 +80,20 @@ def _breakaway_link(before: Any, hook: Any, index: int, first: int, last: int) -
     return breakaway
 
 
+def _measure_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    @inlined
+    def measure(theta, p, on):  # type: ignore[no-untyped-def]
+        theta = before(theta, p, on)
+        if on[index]:
+            theta = hook(theta, p[first:last])
+        return theta
+
+    return measure
+
+
 command = _chain("command", lambda duty_pct, p, on: duty_pct, _command_link)
+current = _chain("current", lambda i, duty, emf, time, winding, p, on: i, _current_link)
 torque = _chain("torque", lambda theta, omega, time, duty, p, on: 0.0, _torque_link)
-friction = _chain("friction", lambda theta, omega, time, drive, direction, p, on: 0.0, _friction_link)
+friction = _chain("friction", lambda level, theta, omega, time, drive, direction, bearing, p, on: level, _friction_link)
 breakaway = _chain("breakaway", lambda p, on: 0.0, _breakaway_link)
-
-
-def no_effects() -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """The switch of every effect, all off."""
-    return np.zeros(N_EFFECTS, dtype=np.bool_)
+measure = _chain("measure", lambda theta, p, on: theta, _measure_link)

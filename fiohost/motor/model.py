@@ -109,8 +109,8 @@ class Model:
         return effect(group).parameter(name)
 
     def free(self) -> list[str]:
-        """Names of the parameters to be estimated: numbers that are not fixed."""
-        return [k for k in self.values if k not in self.fixed and not self.parameter(k).is_choice]
+        """Names of the parameters to be estimated by gradients: not fixed, neither choices nor whole numbers."""
+        return [k for k in self.values if k not in self.fixed and self.parameter(k).is_smooth]
 
     def number(self, key: str) -> float:
         value = self.values[key]
@@ -123,9 +123,12 @@ class Model:
         return replace(self, values={**self.values, **values})
 
     def with_effect(self, name: str, values: Mapping[str, Value] | None = None) -> Model:
-        """A copy with one effect added; ``values`` are its parameters by their short names."""
+        """A copy with one effect added, in the place of those it replaces; ``values`` are its parameters' short
+        names.
+        """
         added = {f"{name}.{key}": value for key, value in (values or {}).items()}
-        return replace(self, effects=(*self.effects, name), values={**self.values, **added})
+        base = self.without(effect(name).replaces)
+        return replace(base, effects=(*base.effects, name), values={**base.values, **added})
 
     def without(self, names: Iterable[str]) -> Model:
         """A copy with some effects taken out."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from fiohost.motor import kernel
 from fiohost.motor.effect import effect
-from fiohost.motor.hooks import EFFECT_INDEX
-from fiohost.motor.kernel import STATE_SIZE
 from fiohost.motor.model import Model
+from fiohost.motor.state import BACKLASH, CONTACT, GAP, LOAD_OMEGA, LOAD_THETA, OMEGA, SIDE, STATE_SIZE, THETA
 
 _SIDE = effect("backlash").parameter("side")
 
@@ -22,12 +21,14 @@ class Excitation:
 
     ``times_s`` (n): sample times. ``act_times_s`` (m): when each command begins to act. ``duties_pct``, ``modes`` (m
     + 1): signed duty and mode (1 drive, 2 brake, 0 standby), the first entry being what acted before the first command.
+    ``clock_s`` is the bench's own time at sample time zero, for what drifts.
     """
 
     times_s: np.ndarray
     act_times_s: np.ndarray
     duties_pct: np.ndarray
     modes: np.ndarray
+    clock_s: float = 0.0
 
 
 class Start(NamedTuple):
@@ -40,21 +41,21 @@ class Start(NamedTuple):
 
 def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
     """Which angle of the state the encoder sees: the load's where it sits after a gap, else the motor's."""
-    after = on[EFFECT_INDEX["backlash"]] and p[kernel.SIDE] == _SIDE.choices.index("encoder_after_gap")
-    return kernel.LOAD_THETA if after and p[kernel.GAP] > 0.0 else kernel.THETA
+    after = on[BACKLASH] and p[SIDE] == _SIDE.choices.index("encoder_after_gap")
+    return LOAD_THETA if after and p[GAP] > 0.0 else THETA
 
 
 def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
     """The kernel's state at a start: motor and load at one speed, the gap between them taken up by ``play``."""
     state = np.zeros(STATE_SIZE)
-    lead = 0.5 * p[kernel.GAP] * start.play if on[kernel.BACKLASH] else 0.0
-    state[kernel.THETA] = state[kernel.LOAD_THETA] = start.angle
-    if seen_angle(p, on) == kernel.THETA:
-        state[kernel.LOAD_THETA] -= lead
+    lead = 0.5 * p[GAP] * start.play if on[BACKLASH] else 0.0
+    state[THETA] = state[LOAD_THETA] = start.angle
+    if seen_angle(p, on) == THETA:
+        state[LOAD_THETA] -= lead
     else:
-        state[kernel.THETA] += lead
-    state[kernel.OMEGA] = state[kernel.LOAD_OMEGA] = start.speed
-    state[kernel.CONTACT] = start.play if abs(start.play) == 1.0 else 0.0
+        state[THETA] += lead
+    state[OMEGA] = state[LOAD_OMEGA] = start.speed
+    state[CONTACT] = start.play if abs(start.play) == 1.0 else 0.0
     return state
 
 
@@ -77,6 +78,7 @@ def run(
         excitation.act_times_s,
         excitation.duties_pct,
         excitation.modes,
+        excitation.clock_s,
         first,
         last,
         state.copy(),

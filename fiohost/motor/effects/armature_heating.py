@@ -1,0 +1,27 @@
+"""Resistance follows the winding's warmth."""
+
+from fiohost.motor.effect import Effect, Parameter
+
+
+def current(i_pct, duty_pct, emf_pct, time_s, winding, q):  # type: ignore[no-untyped-def]
+    return i_pct / (1.0 + q[0] * winding)
+
+
+EFFECTS = (
+    Effect(
+        name="armature_heating",
+        summary="resistance follows the winding's warmth",
+        equation="current = (duty - emf) / (1 + rise_ratio * h); dh/dt = ((current / stall)**2 - h) / time_constant",
+        acts_on="current",
+        stage=35,
+        substep_s=0.00125,
+        signature="gain falls after loaded phases and recovers at rest",
+        parameters=(
+            Parameter("rise_ratio", "", 0.5, 0.0, 20.0, step=1e-3),
+            Parameter("time_constant_s", "s", 10.0, 0.5, 1000.0, neutral=None, step=1e-3, relative_step=True),
+        ),
+        trials=tuple({"rise_ratio": 1.0, "time_constant_s": t} for t in (3.0, 10.0, 40.0)),
+        source="Isermann, Fault-Diagnosis Applications, DC motor; copper 0.39 % per kelvin",
+        current=current,
+    ),
+)

@@ -1,0 +1,28 @@
+"""Friction that falls as the motor runs."""
+
+from fiohost.motor.effect import Effect, Parameter
+
+
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+    return level * (1.0 - q[0] * bearing)
+
+
+EFFECTS = (
+    Effect(
+        name="friction_warm_up",
+        summary="friction falls as it runs",
+        equation="friction = level * (1 - ratio * w); dw/dt = (running - w) / time_constant",
+        acts_on="friction",
+        stage=30,
+        substep_s=0.005,
+        commonness=6,
+        signature="friction, not gain, drifts down while the shaft turns",
+        parameters=(
+            Parameter("ratio", "", 0.3, 0.0, 0.95, step=1e-3),
+            Parameter("time_constant_s", "s", 10.0, 0.5, 1000.0, neutral=None, step=1e-3, relative_step=True),
+        ),
+        trials=tuple({"ratio": 0.3, "time_constant_s": t} for t in (3.0, 10.0, 40.0)),
+        source="Bona and Indri, Friction compensation in robotics: an overview, CDC 2005",
+        friction=friction,
+    ),
+)

@@ -1,0 +1,28 @@
+"""An end of travel."""
+
+from collections.abc import Mapping
+
+from fiohost.motor.effect import Effect, Parameter, Span, Value
+
+
+def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
+    """A stop can only be where the shaft came last."""
+    low, high = span.angle_deg
+    return tuple({"angle_deg": angle} for angle in (high, low) if angle != 0.0 and (angle > 0.0) == (angle == high))
+
+
+EFFECTS = (
+    Effect(
+        name="hard_stop",
+        summary="an end of travel",
+        equation="theta <= angle (angle > 0), theta >= angle (angle < 0); inelastic",
+        acts_on="structure",
+        substep_s=0.0025,
+        commonness=6,
+        angle_bound=True,
+        signature="speed falls to zero at one angle, whatever the drive",
+        parameters=(Parameter("angle_deg", "deg", 720.0, -1e6, 1e6, neutral=None, step=0.05),),
+        trials_for=trials_for,
+        source="End stops of arms and lifts",
+    ),
+)

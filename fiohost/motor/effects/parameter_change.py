@@ -1,0 +1,32 @@
+"""Inertia, friction or gain changes during the run."""
+
+from collections.abc import Mapping
+
+from fiohost.motor.effect import Effect, Parameter, Span, Value
+
+MOMENTS = 24
+
+
+def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
+    """Moments spread over the time of the data, for each thing that may change."""
+    low, high = span.time_s
+    times = [low + (high - low) * (i + 0.5) / MOMENTS for i in range(MOMENTS)]
+    return tuple({"time_s": t, "which": w, "ratio": 1.15} for w in ("inertia", "friction", "gain") for t in times)
+
+
+EFFECTS = (
+    Effect(
+        name="parameter_change",
+        summary="inertia, friction or gain changes during the run",
+        equation="from time on, tau, friction or K is multiplied by ratio",
+        acts_on="structure",
+        signature="one model before a moment, another after it",
+        parameters=(
+            Parameter("time_s", "s", 10.0, 0.0, 1e6, neutral=None, step=5e-3),
+            Parameter("which", "", "inertia", neutral=None, choices=("inertia", "friction", "gain")),
+            Parameter("ratio", "", 1.3, 0.02, 50.0, neutral=1.0, step=1e-4),
+        ),
+        trials_for=trials_for,
+        source="A load picked up or dropped; change detection, Basseville and Nikiforov 1993",
+    ),
+)

@@ -1,0 +1,18 @@
+"""A stiff spring before break-away."""
+
+from fiohost.motor.effect import Effect, Parameter
+
+EFFECTS = (
+    Effect(
+        name="presliding_friction",
+        summary="a stiff spring before break-away (Dahl, LuGre)",
+        equation="friction = level * z / breakaway; dz/dt = omega - |omega| z / breakaway",
+        acts_on="structure",
+        substep_s=0.0005,
+        commonness=6,
+        signature="springy motion of a few counts at reversals and below break-away",
+        parameters=(Parameter("breakaway_deg", "deg", 0.5, 0.0, 30.0, step=0.01),),
+        trials=({"breakaway_deg": 0.3}, {"breakaway_deg": 1.0}, {"breakaway_deg": 3.0}),
+        source="P. Dahl, A solid friction model, 1968; Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995",
+    ),
+)

@@ -1,0 +1,45 @@
+"""Friction that is higher at low speed, and break-away above sliding friction."""
+
+import math
+
+from fiohost.motor.effect import Effect, Parameter
+
+
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+    return level + q[0] * math.exp(-abs(omega_deg_s) / q[1])
+
+
+def breakaway(q):  # type: ignore[no-untyped-def]
+    return q[0]
+
+
+EFFECTS = (
+    Effect(
+        name="stribeck_friction",
+        summary="friction higher at low speed",
+        equation="friction = level + extra * exp(-|omega| / stribeck_speed)",
+        acts_on="friction",
+        stage=10,
+        substep_s=0.00125,
+        signature="missing torque that falls as the speed rises; stick-slip at slow speeds",
+        parameters=(
+            Parameter("extra_pct", "%", 2.0, 0.0, 50.0),
+            Parameter("stribeck_speed_deg_s", "deg/s", 60.0, 1.0, 1000.0, neutral=None, step=0.1),
+        ),
+        trials=tuple({"extra_pct": 1.5, "stribeck_speed_deg_s": v} for v in (15.0, 60.0, 200.0)),
+        source="R. Stribeck 1902; Tustin 1947, exponential form",
+        friction=friction,
+    ),
+    Effect(
+        name="static_friction",
+        summary="break-away above sliding friction",
+        equation="at rest friction holds up to level + extra, moving it is level",
+        acts_on="friction",
+        commonness=3,
+        signature="late starts from rest only; nothing while moving",
+        parameters=(Parameter("extra_pct", "%", 1.5, 0.0, 50.0, step=0.02),),
+        trials=({"extra_pct": 0.5}, {"extra_pct": 1.5}, {"extra_pct": 4.0}),
+        source="D. Karnopp, Computer simulation of stick-slip friction, ASME J. Dyn. Syst. 107, 1985",
+        breakaway=breakaway,
+    ),
+)

@@ -1,0 +1,120 @@
+"""Closed forms between events, and what the torques are at one moment. Parts of the kernel.
+
+With ``ws = K f`` the speed that a constant net torque ``f`` would reach, ``omega(t) = ws + (omega0 - ws) exp(-t/tau)``.
+Without back-emf (standby, or a current with a lag of its own) the speed grows in a straight line.
+"""
+
+from __future__ import annotations
+
+from math import exp, expm1, log1p
+
+from fiohost.motor.compiled import inlined
+from fiohost.motor.hooks import breakaway, current, friction, torque
+from fiohost.motor.state import (
+    BEARING,
+    BREAKAWAY,
+    BRISTLE,
+    CHANGE_ON,
+    CHANGE_RATIO,
+    CHANGE_TIME,
+    CHANGE_WHICH,
+    CURRENT,
+    GAIN,
+    HEATING,
+    HEATING_ON,
+    LAG,
+    STANDBY,
+    TAU,
+    WARMING,
+    WARMING_ON,
+    WINDING,
+)
+
+
+@inlined
+def flow(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
+    """Angle turned and speed after dt under a constant net torque; ``emf`` says that the back-emf is not in it."""
+    if emf:
+        steady = gain * net
+        change = (omega - steady) * expm1(-dt / tau)
+        return steady * dt - tau * change, omega + change
+    rate = gain * net / tau
+    return (omega + 0.5 * rate * dt) * dt, omega + rate * dt
+
+
+@inlined
+def time_to_rest(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
+    """When the speed reaches zero under a constant net torque, given that it does within dt."""
+    at = -tau * log1p(-omega / (omega - gain * net)) if emf else -omega * tau / (gain * net)
+    return min(max(at, 0.0), dt)
+
+
+@inlined
+def plant(time, p, on):  # type: ignore[no-untyped-def]
+    """Gain, lag and a factor on friction at this time: they may change once during a run."""
+    gain, tau, grip = p[GAIN], p[TAU], 1.0
+    if on[CHANGE_ON] and time >= p[CHANGE_TIME]:
+        if p[CHANGE_WHICH] == 0.0:
+            tau *= p[CHANGE_RATIO]
+        elif p[CHANGE_WHICH] == 1.0:
+            grip = p[CHANGE_RATIO]
+        else:
+            gain *= p[CHANGE_RATIO]
+    return gain, tau, grip
+
+
+@inlined
+def settled_current(omega, time, duty, mode, gain, state, p, on):  # type: ignore[no-untyped-def]
+    """The current in percent of stall once its own lag is over: duty minus back-emf, as the electrics let it
+    through.
+    """
+    if mode == STANDBY:
+        return 0.0
+    emf = omega / gain
+    return current(duty - emf, duty, emf, time, state[WINDING], p, on)
+
+
+@inlined
+def grip_level(theta, omega, time, drive, direction, state, grip, p, on):  # type: ignore[no-untyped-def]
+    """Sliding friction in percent, never negative."""
+    return grip * max(friction(0.0, theta, omega, time, drive, direction, state[BEARING], p, on), 0.0)
+
+
+@inlined
+def hold_level(theta, time, drive, direction, state, grip, p, on):  # type: ignore[no-untyped-def]
+    """Friction of a shaft at rest, in percent."""
+    return grip_level(theta, 0.0, time, drive, direction, state, grip, p, on) + breakaway(p, on)
+
+
+@inlined
+def net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain, grip, state, p, on):  # type: ignore[no-untyped-def]
+    """Drive minus loads minus friction, in percent, without the linear back-emf where the current has no lag."""
+    if lagged:
+        drive = state[CURRENT]
+        total = drive
+    else:
+        drive = settled_current(omega, time, duty, mode, gain, state, p, on)
+        total = drive + omega / gain if mode != STANDBY else 0.0
+    total += torque(theta, omega, time, duty, p, on)
+    level = grip_level(theta, omega, time, drive, direction, state, grip, p, on)
+    if bristle:
+        return total - level * state[BRISTLE] / p[BREAKAWAY]
+    return total - level * direction
+
+
+@inlined
+def relax(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on):  # type: ignore[no-untyped-def]
+    """Carry the states beside angle and speed over a step that turned the shaft by ``turn`` at about ``omega``."""
+    if lagged:
+        target = settled_current(omega, time, duty, mode, gain, state, p, on)
+        state[CURRENT] = target + (state[CURRENT] - target) * exp(-dt / p[LAG]) if mode != STANDBY else 0.0
+    if bristle and turn != 0.0:
+        end = p[BREAKAWAY] if turn > 0.0 else -p[BREAKAWAY]
+        state[BRISTLE] = end + (state[BRISTLE] - end) * exp(-abs(turn) / p[BREAKAWAY])
+    if on[HEATING_ON]:
+        drive = state[CURRENT] if lagged else settled_current(omega, time, duty, mode, gain, state, p, on)
+        warm = (drive / 100.0) ** 2
+        state[WINDING] = warm + (state[WINDING] - warm) * exp(-dt / p[HEATING])
+    if on[WARMING_ON]:
+        running = 1.0 if omega != 0.0 else 0.0
+        state[BEARING] = running + (state[BEARING] - running) * exp(-dt / p[WARMING])

@@ -1,0 +1,101 @@
+"""One rigid inertia: exact steps between events, true stick, no regularised sign. Part of the kernel."""
+
+from __future__ import annotations
+
+from fiohost.motor.compiled import inlined
+from fiohost.motor.flow import flow, hold_level, net_torque, plant, relax, settled_current, time_to_rest
+from fiohost.motor.hooks import torque
+from fiohost.motor.state import (
+    BREAKAWAY,
+    BRISTLE,
+    BRISTLE_ON,
+    CURRENT,
+    LAG,
+    LAG_ON,
+    LOAD_THETA,
+    OMEGA,
+    SMALLEST_BREAKAWAY,
+    SMALLEST_LAG_S,
+    STANDBY,
+    STOP,
+    STOP_ON,
+    THETA,
+)
+
+MAX_EVENTS = 400
+
+
+@inlined
+def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignore[no-untyped-def]
+    """Carry the shaft over a span of constant command; with play the load trails it through every event.
+
+    Where torques depend on the state, steps are at most ``substep`` long and take the torque at the predicted
+    midpoint; with ``substep`` 0 the whole span is one exact step. A step ends where the speed crosses zero; there the
+    shaft rests while drive minus load stays within break-away.
+    """
+    lagged = on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S
+    bristle = on[BRISTLE_ON] and p[BREAKAWAY] >= SMALLEST_BREAKAWAY
+    emf = mode != STANDBY and not lagged
+    theta, omega = state[THETA], state[OMEGA]
+    left = span
+    for _ in range(MAX_EVENTS):
+        if left <= 0.0:
+            break
+        gain, tau, grip = plant(time, p, on)
+        dt = min(left, substep) if substep > 0.0 else left
+        if omega == 0.0:
+            push = state[CURRENT] if lagged else settled_current(0.0, time, duty, mode, gain, state, p, on)
+            drive = push + torque(theta, 0.0, time, duty, p, on)
+            direction = 1.0 if drive > 0.0 else -1.0
+            at_stop = on[STOP_ON] and theta == p[STOP] and drive * p[STOP] > 0.0
+            if at_stop or (not bristle and abs(drive) <= hold_level(theta, time, push, direction, state, grip, p, on)):
+                relax(state, 0.0, 0.0, time, duty, mode, lagged, bristle, gain, dt, p, on)
+                left -= dt
+                time += dt
+                continue
+        else:
+            direction = 1.0 if omega > 0.0 else -1.0
+        net = net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain, grip, state, p, on)
+        middle = omega
+        if substep > 0.0:
+            half, middle = flow(omega, net, emf, gain, tau, 0.5 * dt)
+            if middle * direction < 0.0 and not (bristle and omega == 0.0):
+                middle = 0.0
+            kept, was = state[CURRENT], state[BRISTLE]
+            relax_fast(state, half, middle, time, duty, mode, lagged, bristle, gain, 0.5 * dt, p, on)
+            net = net_torque(
+                theta + half, middle, time + 0.5 * dt, duty, direction, mode, lagged, bristle, gain, grip, state, p, on
+            )
+            state[CURRENT], state[BRISTLE] = kept, was
+        turn, after = flow(omega, net, emf, gain, tau, dt)
+        if after * direction <= 0.0 and not (bristle and omega == 0.0):
+            if omega == 0.0:
+                relax(state, 0.0, 0.0, time, duty, mode, lagged, bristle, gain, dt, p, on)
+                left -= dt
+                time += dt
+                continue
+            dt = time_to_rest(omega, net, emf, gain, tau, dt)
+            turn, _ = flow(omega, net, emf, gain, tau, dt)
+            after = 0.0
+        if on[STOP_ON]:
+            beyond = theta + turn - p[STOP]
+            if beyond * p[STOP] > 0.0 and (theta - p[STOP]) * p[STOP] <= 0.0:
+                dt *= (p[STOP] - theta) / turn
+                turn = p[STOP] - theta
+                after = 0.0
+        relax(state, turn, middle, time, duty, mode, lagged, bristle, gain, dt, p, on)
+        theta = p[STOP] if on[STOP_ON] and turn == p[STOP] - theta else theta + turn
+        omega = after
+        if play > 0.0:
+            state[LOAD_THETA] = min(max(state[LOAD_THETA], theta - play), theta + play)
+        left -= dt
+        time += dt
+    state[THETA] = theta
+    state[OMEGA] = omega
+
+
+@inlined
+def relax_fast(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on):  # type: ignore[no-untyped-def]
+    """Current and bristle half a step on, to take the torque there; the slow states hardly move."""
+    if lagged or bristle:
+        relax(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on)
