@@ -232,6 +232,11 @@ class Log:
         return int(self._number("counts_per_rev", DEFAULT_COUNTS_PER_REV, low=1.0, high=1e9, whole=True))
 
     @property
+    def bench_time_s(self) -> float:
+        """Time of the first row since the bench was opened; 0 where it is not known."""
+        return self._number("bench_time_s", 0.0, low=0.0)
+
+    @property
     def duty_steps(self) -> int:
         """Timer counts of a PWM period, to which the target truncates each command; 0 where it is not known."""
         return int(self._number("duty_steps", 0.0, low=0.0, high=1e10, whole=True))

@@ -73,6 +73,8 @@ class Bench:
         self.run_id = run_id or secrets.token_hex(8)  # of all logs of this bench; random, made from nothing
         self._codec = profile.codec
         self._due_s = self.clock.now_s()
+        self._opened_s = self._due_s
+        self._received = 0
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
         transport.open()
         layout = f"{profile.name} (layout {profile.status})"
@@ -138,6 +140,7 @@ class Bench:
             with StopSignals() as stop, self._braked_after():
                 self._settle(stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
+                writer.bench_time_s = self._bench_time_s()
                 with stop.interruptible():
                     self._turns(program, writer, stop, progress, every)
             stop.check()  # a signal during the last brake is an end by signal too
@@ -222,7 +225,14 @@ class Bench:
             report = self.transport.receive(TELEMETRY_TIMEOUT_S)
             late_s = max(0.0, self.clock.now_s() - before - self.sample_time_s)
         self.statistics.count(late_s)
+        self._received += 1
         return self._codec.decode(report)
+
+    def _bench_time_s(self) -> float:
+        """Seconds since the bench was opened, by the board's ticks where it is in lock step: for what drifts or warms."""
+        if self.transport.lock_step:
+            return self._received * self.sample_time_s
+        return self.clock.now_s() - self._opened_s
 
     def _settle(self, stop: StopSignals) -> None:
         brake = self._codec.encode(BRAKE_COMMAND)

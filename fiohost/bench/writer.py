@@ -20,6 +20,7 @@ from fiohost.errors import LogError
 SCHEMA = "fiohost.log/1"
 COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
 _ENDING_BYTES = 240
+_CLOCK_BYTES = 40
 _UNFINISHED = "unfinished (the host did not close this log)"
 
 
@@ -32,6 +33,7 @@ class LogWriter:
     def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
         self.path = Path(path) if path is not None else None
         self.rows = 0
+        self.bench_time_s: float | None = None  # set once the run begins: time since the bench was opened
         if self.path is not None and self.path.exists() and not self.path.is_file():
             kind = "a directory" if self.path.is_dir() else "not an ordinary file"
             raise LogError(f"cannot write the log {path}: it is {kind}; nothing was driven")
@@ -46,7 +48,7 @@ class LogWriter:
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
         self._ending_at = len("".join(head).encode())
-        head.append(_ending_lines(_UNFINISHED, "unknown"))
+        head.append(_ending_lines(_UNFINISHED, "unknown", None))
         head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
         try:
             self._write("".join(head).encode())
@@ -82,7 +84,7 @@ class LogWriter:
         self._closed = True
         try:
             self._file.seek(self._ending_at)
-            self._file.write(_ending_lines(ending, statistics or f"{self.rows} ticks").encode())
+            self._file.write(_ending_lines(ending, statistics or f"{self.rows} ticks", self.bench_time_s).encode())
             if self.path is not None:
                 _sync(self._file)
                 self._file.close()
@@ -123,14 +125,19 @@ def _sync(file: BinaryIO) -> None:
             raise
 
 
-def _ending_lines(ending: str, statistics: str) -> str:
-    """The lines of fixed width (in bytes) that say how the run ended."""
-    return _fixed(f"# ending: {ending}") + _fixed(f"# tick_statistics: {statistics}")
+def _ending_lines(ending: str, statistics: str, bench_time_s: float | None) -> str:
+    """The lines of fixed width (in bytes) that are known at the end: how the run ended, and when it had begun."""
+    clock = "" if bench_time_s is None else f"{bench_time_s:.6f}"
+    return (
+        _fixed(f"# ending: {ending}", _ENDING_BYTES)
+        + _fixed(f"# tick_statistics: {statistics}", _ENDING_BYTES)
+        + _fixed(f"# bench_time_s: {clock}", _CLOCK_BYTES)
+    )
 
 
-def _fixed(line: str) -> str:
-    line = _clean(line, _ENDING_BYTES).encode()[:_ENDING_BYTES].decode(errors="ignore")
-    return line + " " * (_ENDING_BYTES - len(line.encode())) + "\n"
+def _fixed(line: str, size: int) -> str:
+    line = _clean(line, size).encode()[:size].decode(errors="ignore")
+    return line + " " * (size - len(line.encode())) + "\n"
 
 
 def _clean(text: str, most: int) -> str:

@@ -50,6 +50,7 @@ def slices(record: Record, pieces: int) -> list[Record]:
             sample_time_s=record.sample_time_s,
             command_delay_s=delay,
             rotary=record.rotary,
+            clock_s=ex.clock_s + float(ex.times_s[a]),
         )
         if a > 0:
             duties = piece.excitation.duties_pct.copy()

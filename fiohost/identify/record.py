@@ -77,6 +77,7 @@ def make_record(
     command_delay_s: float = 0.0,
     rotary: bool = True,
     at_rest: bool | None = None,
+    clock_s: float = 0.0,
 ) -> Record:
     """Build a record from columns (n each): times in s, signed duty in percent, measured output in ``unit``.
 
@@ -98,6 +99,7 @@ def make_record(
         act_times_s=times + command_delay_s,
         duties_pct=np.concatenate(([before[0]], np.asarray(duty_pct, dtype=np.float64))),
         modes=np.concatenate(([before[1]], modes)),
+        clock_s=clock_s,
     )
     step = float(np.median(np.diff(times))) if sample_time_s is None else sample_time_s
     return Record(
@@ -154,5 +156,6 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         sample_time_s=log.sample_time_s,
         command_delay_s=log.command_delay_ticks * log.sample_time_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
+        clock_s=log.bench_time_s,
         at_rest=True if log.begins_at_rest and len(y) > 1 and y[0] == y[1] else None,
     )

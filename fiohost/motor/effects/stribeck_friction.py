@@ -6,7 +6,8 @@ from fiohost.motor.effect import Effect, Parameter
 
 
 def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
-    return level + q[0] * math.exp(-abs(omega_deg_s) / q[1])
+    ratio = abs(omega_deg_s) / q[1]
+    return level + q[0] * math.exp(-ratio if q[2] == 0.0 else -ratio * ratio)
 
 
 def breakaway(q):  # type: ignore[no-untyped-def]
@@ -17,7 +18,7 @@ EFFECTS = (
     Effect(
         name="stribeck_friction",
         summary="friction higher at low speed",
-        equation="friction = level + extra * exp(-|omega| / stribeck_speed)",
+        equation="friction = level + extra * exp(-(|omega| / stribeck_speed)**n), n = 1 exponential, 2 gaussian",
         acts_on="friction",
         stage=10,
         substep_s=0.00125,
@@ -25,9 +26,14 @@ EFFECTS = (
         parameters=(
             Parameter("extra_pct", "%", 2.0, 0.0, 50.0),
             Parameter("stribeck_speed_deg_s", "deg/s", 60.0, 1.0, 1000.0, neutral=None, step=0.1),
+            Parameter("shape", "", "exponential", neutral=None, choices=("exponential", "gaussian")),
         ),
-        trials=tuple({"extra_pct": 1.5, "stribeck_speed_deg_s": v} for v in (15.0, 60.0, 200.0)),
-        source="R. Stribeck 1902; Tustin 1947, exponential form",
+        trials=tuple(
+            {"extra_pct": 1.5, "stribeck_speed_deg_s": v, "shape": s}
+            for v in (15.0, 60.0, 200.0)
+            for s in ("exponential", "gaussian")
+        ),
+        source="R. Stribeck 1902; Tustin 1947 (exponential); Armstrong-Helouvry 1991 (gaussian)",
         friction=friction,
     ),
     Effect(
