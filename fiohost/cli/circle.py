@@ -6,15 +6,14 @@ from pathlib import Path
 
 import click
 
+from fiohost.cli.options import parse_seed
 from fiohost.cli.output import json_option, make_folder, output_for
 from fiohost.cli.progress import progress
 
 
 @click.command("close-loop")
 @click.option("--target", default="sim:sealed", show_default=True, metavar="T", help="Board to run on.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), metavar="N", help="Draw the sealed board by this seed; at random without."
-)
+@click.option("--seed", metavar="N", help="Draw the sealed board by this seed; at random without.")
 @click.option("--model", default="linear+coulomb_friction", show_default=True, metavar="M", help="Declared model.")
 @click.option(
     "--report",
@@ -23,7 +22,7 @@ from fiohost.cli.progress import progress
     help="Folder of logs, page and plots. [default: close-loop-N]",
 )
 @json_option
-def close_loop(target: str, seed: int | None, model: str, report: Path | None, json_to: str | None) -> None:
+def close_loop(target: str, seed: str | None, model: str, report: Path | None, json_to: str | None) -> None:
     """Run a suite of experiments, name what the model lacks, and prove it on a fresh record.
 
     On a sealed board the plant and its one undeclared effect are drawn at random and shown only at the very end.
@@ -43,9 +42,9 @@ def close_loop(target: str, seed: int | None, model: str, report: Path | None, j
     from fiohost.report.plots import save_plots
 
     say = output_for(json_to)
-    declared = Model.parse(model)
+    declared, drawn = Model.parse(model), parse_seed(seed)
     folder = _folder(report)
-    with connect(target, seed=seed) as bench, progress() as doing:
+    with connect(target, seed=drawn) as bench, progress() as doing:
         circle = run_circle(bench, folder, declared, say=doing)
     diagnosis = to_json(circle.diagnosis)
     seal = _open_seal(circle.fresh_log.path) if target == "sim:sealed" else None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fiohost.cli.options import parse_seed
 from fiohost.cli.output import check_not_input, check_writable, json_option, make_folder, output_for
 from fiohost.cli.progress import progress
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 )
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
-@click.option("--seed", default=0, show_default=True, type=int, help="Seed of the replicas that make the floor.")
+@click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
     holdout: Sequence[Path],
@@ -46,7 +47,7 @@ def diagnose(
     save_model: Path | None,
     report: Path | None,
     table_map: str | None,
-    seed: int,
+    seed: str,
 ) -> None:
     """Name what a declared model lacks, from logs, and report the error before and after on held-out ones.
 
@@ -61,7 +62,7 @@ def diagnose(
     from fiohost.report.tables import print_diagnosis
 
     say = output_for(json_to)
-    declared = Model.parse(model)
+    declared, drawn = Model.parse(model), parse_seed(seed) or 0
     if save_model is not None:
         check_writable(save_model)
     for output in (json_to, save_model):
@@ -77,7 +78,7 @@ def diagnose(
                     say(f"          dropped: {note}")
 
     with progress() as doing:
-        found = run_diagnosis(logs, holdout, declared, table_map=table_map, seed=seed, say=doing, announce=announce)
+        found = run_diagnosis(logs, holdout, declared, table_map=table_map, seed=drawn, say=doing, announce=announce)
     result = to_json(found)
     print_diagnosis(say.console, result)
     if save_model is not None:
