@@ -6,9 +6,10 @@ from firmware_model.report import PERIOD, Command
 
 # Modes of the winding, as the kernel knows them.
 STANDBY = 0  # open: no current
-DRIVEN = 1  # on for the duty, shorted for the rest of each period (slow decay); duty 0 is a brake
+DRIVEN = 1  # on for the duty; for the rest of each period shorted (slow decay) or open (fast decay)
+BRAKE = 2  # shorted all the time
 
-TRUTH_TABLE = {(1, 0): (DRIVEN, 1.0), (0, 1): (DRIVEN, -1.0), (1, 1): (DRIVEN, 0.0), (0, 0): (STANDBY, 0.0)}
+TRUTH_TABLE = {(1, 0): (DRIVEN, 1.0), (0, 1): (DRIVEN, -1.0), (1, 1): (BRAKE, 0.0), (0, 0): (STANDBY, 0.0)}
 
 
 def drive(command: Command) -> tuple[int, float]:

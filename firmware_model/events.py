@@ -27,17 +27,22 @@ from firmware_model.layout import (
     C,
 )
 from firmware_model.physics import (
+    CEASING,
+    DRIVEN,
     STANDBY,
+    dry,
     electrical,
+    fast,
     holding,
     inertias,
     one_torque,
     pressure,
-    sliding,
     two_torques,
 )
 
 L, KT, HALF_GAP, STIFFNESS = int(C.L), int(C.KT), int(C.HALF_GAP), int(C.STIFFNESS)
+FAST = int(C.FAST)
+SMALL_A = 1e-12
 LOAD_COULOMB, STOP = int(C.LOAD_COULOMB), int(C.STOP)
 
 
@@ -72,7 +77,7 @@ def parting(time, y, m, duty, effort, p, on):  # type: ignore[no-untyped-def]
     motor_rate = 0.0
     load_rate = 0.0
     if side != 0:
-        motor_rate = (motor - side * sliding(time, y, float(side), effort, duty, p, on)) / motor_j
+        motor_rate = (motor - dry(time, y, float(side), effort, duty, p, on)) / motor_j
     if load_side != 0:
         load_rate = (load - load_side * p[LOAD_COULOMB]) / load_j
     return motor_rate, load_rate, side, load_side
@@ -89,9 +94,39 @@ def blocked(time, y, duty, p, on):  # type: ignore[no-untyped-def]
 
 
 @part
+def switched(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Whether a current under fast decay has left its regime: against the duty, continuous, ceasing in each pulse."""
+    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
+    if m[FLOW] == CEASING:
+        return not ceases or emf > supply + lost
+    current = way * y[CURRENT]
+    if m[FLOW] * way < 0.0:
+        return current > 0.0
+    return ceases and current < mean
+
+
+@part
+def settle_fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Regime of the current under fast decay."""
+    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
+    current = way * y[CURRENT]
+    if current < -SMALL_A or (current <= SMALL_A and emf > supply + lost):
+        m[FLOW] = -int(way)
+    elif ceases and current <= mean + SMALL_A:
+        m[FLOW] = CEASING
+        y[CURRENT] = way * mean
+    else:
+        m[FLOW] = int(way)
+        y[CURRENT] = way * max(current, 0.0)
+
+
+@part
 def broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Whether the state has gone beyond an event."""
-    if p[L] > 0.0:
+    if p[FAST] > 0.0 and m[MODE] == DRIVEN:
+        if switched(time, y, m, duty, p, on):
+            return True
+    elif p[L] > 0.0:
         if m[FLOW] != 0:
             if y[CURRENT] * m[FLOW] < 0.0 and (
                 m[MODE] == STANDBY or drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on) > 0.0
@@ -145,6 +180,9 @@ def broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Which way the current may flow from here on."""
+    if p[FAST] > 0.0 and m[MODE] == DRIVEN:
+        settle_fast(time, y, m, duty, p, on)
+        return
     if p[L] <= 0.0:
         m[FLOW] = 1
         return

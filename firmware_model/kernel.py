@@ -10,9 +10,11 @@ from firmware_model.hooks import command, measure
 from firmware_model.layout import (
     BODIES,
     COUNT,
+    CURRENT,
     DIRECTION,
     DUTY,
     EDGES,
+    FLOW,
     HEAD,
     LOAD_THETA,
     LOST,
@@ -24,11 +26,12 @@ from firmware_model.layout import (
     WAITING,
     C,
 )
-from firmware_model.physics import electrical
+from firmware_model.physics import CEASING, DRIVEN, STANDBY, electrical
 from firmware_model.stepper import advance_step
 
 HALF_GAP, AFTER, DELAY = int(C.HALF_GAP), int(C.AFTER), int(C.DELAY)
 R, L, KE = int(C.R), int(C.L), int(C.KE)
+FAST, CHANGED = int(C.FAST), int(C.CHANGED)
 QUANTUM, CHANGE_AT, ANGLE_ZERO, SHARE_LOST = int(C.QUANTUM), int(C.CHANGE_AT), int(C.ANGLE_ZERO), int(C.SHARE_LOST)
 
 
@@ -68,22 +71,35 @@ def run_until(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
 
 
 @part
+def act(y, r, m, p, on, mode, duty):  # type: ignore[no-untyped-def]
+    """A command takes effect at the bridge."""
+    if m[FLOW] == CEASING:
+        y[CURRENT], _ = electrical(r[TIME], y, m, r[DUTY], p, on)
+    r[DUTY] = command(duty, p, on)
+    m[MODE] = mode
+    if p[FAST] > 0.0 and mode == DRIVEN and r[DUTY] == 0.0:
+        m[MODE] = STANDBY  # no pulse at all: the bridge stays open
+    if m[FLOW] == CEASING:
+        m[FLOW] = 1
+
+
+@part
 def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
     """Latch a command, then run for ``span`` seconds."""
     end = r[TIME] + span
     if p[DELAY] > 0.0:
+        if m[WAITING] >= QUEUE - 1:
+            return  # cannot be: the longest delay is shorter than the queue
         place = (m[HEAD] + m[WAITING]) % QUEUE
         queue[0, place] = r[TIME] + p[DELAY]
         queue[1, place] = duty
         queue[2, place] = mode
         m[WAITING] += 1
     else:
-        m[MODE] = mode
-        r[DUTY] = command(duty, p, on)
+        act(y, r, m, p, on, mode, duty)
     while r[TIME] < end:
         while m[WAITING] > 0 and queue[0, m[HEAD]] <= r[TIME]:
-            m[MODE] = int(queue[2, m[HEAD]])
-            r[DUTY] = command(queue[1, m[HEAD]], p, on)
+            act(y, r, m, p, on, int(queue[2, m[HEAD]]), queue[1, m[HEAD]])
             m[HEAD] = (m[HEAD] + 1) % QUEUE
             m[WAITING] -= 1
         until = end
@@ -91,6 +107,7 @@ def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped
             until = min(until, queue[0, m[HEAD]])
         if r[TIME] < p[CHANGE_AT]:
             until = min(until, p[CHANGE_AT])
+        p[CHANGED] = 1.0 if r[TIME] >= p[CHANGE_AT] else 0.0
         settle(r[TIME], y, m, r[DUTY], p, on)
         run_until(y, r, m, w, until, p, on)
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 THETA, OMEGA, CURRENT, LOAD_THETA, LOAD_OMEGA, SLIP, OWN = range(7)
 
 # m: whole numbers. SIDE is the direction of sliding (0 held), CONTACT the gap's closed face, FLOW the direction of
-# current where that matters (0: blocked), STOPPED 1 while resting on an end of travel.
+# current where that matters (0: blocked, 2: ceasing within each pulse), STOPPED 1 while resting on an end of travel.
 SIDE, LOAD_SIDE, CONTACT, FLOW, STOPPED, MODE, BODIES, STATES = range(8)
 COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS = range(8, 14)
 SWITCHES = 16
@@ -46,8 +46,9 @@ class C(IntEnum):
     EXTERNAL = 19  # torque of the lab's furniture on the shaft
     ANGLE_ZERO = 20  # the encoder's count at power-on
     FAST = 21  # 1: bridge open between the pulses
-    SHARE_LOST = 22
-    FRACTION = 23
+    DIODE = 22  # volts lost in each pair of diodes that carries the current then
+    SHARE_LOST = 23
+    CHANGED = 24  # 1 once CHANGE_AT has passed; the kernel sets it
 
 
-FIRST_EFFECT = 24
+FIRST_EFFECT = 25

@@ -48,15 +48,22 @@ def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
     p[C.QUANTUM] = 2.0 * math.pi / plant.counts_per_rev
     p[C.STOP] = p[C.CHANGE_AT] = math.inf
     on = np.zeros(len(effects()), np.uint8)
-    for name, values in plant.effects.items():
-        effect = effects()[name]
+    for name, effect in effects().items():
+        if name not in plant.effects:
+            continue
+        values = plant.effects[name]
         on[index_of()[name]] = 1
         for i, parameter in enumerate(effect.parameters):
             value = values[parameter.key]
             p[offsets()[name] + i] = parameter.choices.index(value) if parameter.choices else value
         if effect.structure is not None:
             for constant, number in effect.structure(plant, values).items():
-                p[C[constant]] = number
+                # A spring and a gap between the same two bodies each know part of them.
+                p[C[constant]] = number if constant in ("STOP", "CHANGE_AT") else max(number, p[C[constant]])
+    if p[C.FAST] and p[C.L] <= 0.0:
+        raise FirmwareModelError(
+            f"plant {plant.name!r}: fast_decay needs a winding with inductance; give L_H or armature_inductance"
+        )
     if 0.0 < p[C.L] < FASTEST_WINDING_S * p[C.R]:
         raise FirmwareModelError(
             f"plant {plant.name!r}: L_H = {p[C.L]:g} with R_ohm = {p[C.R]:g} gives an electrical time constant below "

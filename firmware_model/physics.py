@@ -43,7 +43,60 @@ R, L, KT, KE, J, B = int(C.R), int(C.L), int(C.KT), int(C.KE), int(C.J), int(C.B
 COULOMB, SUPPLY, EXTERNAL = int(C.COULOMB), int(C.SUPPLY), int(C.EXTERNAL)
 LOAD_J, LOAD_COULOMB, HALF_GAP = int(C.LOAD_J), int(C.LOAD_COULOMB), int(C.HALF_GAP)
 STIFFNESS, DAMPING, DEFLECTION = int(C.STIFFNESS), int(C.DAMPING), int(C.DEFLECTION)
-STANDBY = 0
+FAST, DIODE = int(C.FAST), int(C.DIODE)
+STANDBY, DRIVEN = 0, 1
+CEASING = 2
+PERIOD_S = 50e-6  # 20 kHz
+
+
+@part
+def pulse(duty, on, off, ohms, henry):  # type: ignore[no-untyped-def]
+    """Mean current of a winding that gets ``on`` volts for a duty 0..1 of each period and then loses ``off`` volts.
+
+    Returns the periodic mean in A and whether the current ceases within the period (discontinuous conduction).
+    """
+    if on <= 0.0:
+        return 0.0, True
+    if off <= 0.0:
+        return (duty * on - (1.0 - duty) * off) / ohms, False
+    tau = henry / ohms
+    pulse_s = duty * PERIOD_S
+    up, down = on / ohms, off / ohms
+    peak = -up * math.expm1(-pulse_s / tau)
+    fall_s = tau * math.log1p(peak / down)
+    if fall_s >= (1.0 - duty) * PERIOD_S:
+        return (duty * on - (1.0 - duty) * off) / ohms, False
+    charge = up * pulse_s - tau * peak - down * fall_s + tau * peak
+    return charge / PERIOD_S, True
+
+
+@part
+def fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Fast decay, in the duty's direction: back-emf and supply in V, mean of the pulses in A, whether they cease."""
+    theta, omega = y[THETA], y[OMEGA]
+    way = 1.0 if duty > 0.0 else -1.0
+    supply = way * voltage(way * p[SUPPLY], theta, omega, 0.0, 0.0, duty, time, y, p, on)
+    ohms = resistance(p[R], theta, omega, 0.0, 0.0, duty, time, y, p, on)
+    lost = drop(0.0, theta, omega, 0.0, 0.0, duty, time, y, p, on)
+    emf = way * p[KE] * omega
+    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L])
+    return way, supply, emf, ohms, lost, mean, ceases
+
+
+@part
+def fast_electrical(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Current and its rate with the bridge open between the pulses."""
+    way, supply, emf, ohms, lost, mean, _ = fast(time, y, m, duty, p, on)
+    if m[FLOW] == CEASING:
+        return way * mean, 0.0
+    current = way * y[CURRENT]
+    if m[FLOW] * way < 0.0:
+        # Against the duty the current meets the supply all the time, through the transistors or the diodes.
+        rate = supply + lost - emf - ohms * current
+    else:
+        share = 0.01 * abs(duty)
+        rate = share * (supply - lost) - (1.0 - share) * (supply + lost + p[DIODE]) - emf - ohms * current
+    return y[CURRENT], way * rate / p[L]
 
 
 @part
@@ -64,6 +117,8 @@ def electrical(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         # The bridge is open: what still flows goes through its diodes into the supply.
         back = p[KE] * omega + p[R] * y[CURRENT] + m[FLOW] * p[SUPPLY]
         return y[CURRENT], -back / p[L]
+    if p[FAST] > 0.0 and m[MODE] == DRIVEN:
+        return fast_electrical(time, y, m, duty, p, on)
     push = pressure(time, y, duty, p, on)
     ohms = resistance(p[R], theta, omega, 0.0, 0.0, duty, time, y, p, on)
     lost = drop(0.0, theta, omega, 0.0, 0.0, duty, time, y, p, on)
@@ -107,6 +162,14 @@ def holding(time, y, side, effort, duty, p, on):  # type: ignore[no-untyped-def]
         return 0.0
     level = sliding(time, y, side, effort, duty, p, on)
     return breakaway(level, y[THETA], 0.0, effort, side, duty, time, y, p, on)
+
+
+@part
+def dry(time, y, side, effort, duty, p, on):  # type: ignore[no-untyped-def]
+    """Sliding friction against a motion towards ``side``, N m, signed; none where a presliding spring stands for it."""
+    if side == 0.0 or p[DEFLECTION] > 0.0:
+        return 0.0
+    return side * sliding(time, y, side, effort, duty, p, on)
 
 
 @part
@@ -168,9 +231,7 @@ def rates(time, y, dy, m, duty, p, on):  # type: ignore[no-untyped-def]
     effort = p[KT] * current
     side = float(m[SIDE])
     motor_j, load_j = inertias(time, y, duty, p, on)
-    dry = 0.0
-    if side != 0.0 and p[DEFLECTION] <= 0.0:
-        dry = side * sliding(time, y, side, effort, duty, p, on)
+    opposed = dry(time, y, side, effort, duty, p, on)
     if m[BODIES] == 1:
         dy[THETA] = 0.0
         dy[OMEGA] = 0.0
@@ -178,11 +239,11 @@ def rates(time, y, dy, m, duty, p, on):  # type: ignore[no-untyped-def]
         dy[LOAD_OMEGA] = 0.0
         if side != 0.0:
             dy[THETA] = y[OMEGA]
-            dy[OMEGA] = (one_torque(time, y, m, duty, effort, p, on) - dry) / motor_j
+            dy[OMEGA] = (one_torque(time, y, m, duty, effort, p, on) - opposed) / motor_j
     else:
         motor, load = two_torques(time, y, m, duty, effort, p, on)
         load_side = float(m[LOAD_SIDE])
-        motor -= dry
+        motor -= opposed
         load -= load_side * p[LOAD_COULOMB]
         if m[CONTACT] != 0:
             motor = (motor + load) / (motor_j + load_j)

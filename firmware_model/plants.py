@@ -56,6 +56,11 @@ class Plant:
         return 100.0 * torque_Nm * self.R_ohm / (self.Kt_Nm_per_A * self.supply_V)
 
     @property
+    def inductance_H(self) -> float:
+        """The winding's inductance, from the plant's own key or from the effect."""
+        return max(self.L_H, float(self.effects.get("armature_inductance", {}).get("inductance_H", 0.0)))
+
+    @property
     def gain_deg_s_per_pct(self) -> float:
         """Speed per percent of duty without dry friction: K = Kt V / (100 (Kt Ke + R B))."""
         damping = self.Kt_Nm_per_A * self.Ke_Vs_per_rad + self.R_ohm * self.B_Nms

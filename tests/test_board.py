@@ -132,7 +132,7 @@ def test_appendix_set_reaches_its_speed_at_2_volts() -> None:
     lag = 999 * 0.005 - (counts[-1] - counts[0]) * math.radians(0.5) / speed
     assert lag == pytest.approx(
         0.081 + 0.0047 / 2.27, abs=0.002
-    )  # the winding's own lag is added to the mechanical one
+    )  # the winding adds its own lag
 
 
 def test_stall_against_a_hanging_mass() -> None:

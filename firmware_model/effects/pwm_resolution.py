@@ -1,0 +1,21 @@
+"""A timer with few steps: the duty is rounded to one of its levels."""
+
+import math
+
+from firmware_model.effect import Effect, Parameter
+
+
+def command(duty, p, k):  # type: ignore[no-untyped-def]
+    return math.copysign(math.floor(0.01 * abs(duty) * p[k] + 0.5) / p[k] * 100.0, duty)
+
+
+EFFECT = Effect(
+    name="pwm_resolution",
+    summary="coarse duty steps",
+    equation="duty_eff = 100 round(duty/100 levels)/levels",
+    parameters=(Parameter("levels", lower=1.0, upper=100000.0),),
+    source="Timer resolution; 8-bit PWM has 255 levels",
+    reduced=lambda plant, q: {"levels": q["levels"]},
+    stage=10,
+    command=command,
+)
