@@ -18,9 +18,11 @@ from firmware_model.layout import (
     HEAD,
     LOAD_THETA,
     LOST,
+    LOST_WAY,
     MODE,
     OMEGA,
     QUEUE,
+    STEPS,
     THETA,
     TIME,
     WAITING,
@@ -31,6 +33,7 @@ from firmware_model.stepper import advance_step
 
 HALF_GAP, AFTER, DELAY = int(C.HALF_GAP), int(C.AFTER), int(C.DELAY)
 R, L, KE = int(C.R), int(C.L), int(C.KE)
+MOST_STEPS = 200_000  # in one hold; usual are one to ten
 FAST, CHANGED = int(C.FAST), int(C.CHANGED)
 QUANTUM, CHANGE_AT, ANGLE_ZERO, SHARE_LOST = int(C.QUANTUM), int(C.CHANGE_AT), int(C.ANGLE_ZERO), int(C.SHARE_LOST)
 
@@ -63,7 +66,12 @@ def read_encoder(y, r, m, p, on):  # type: ignore[no-untyped-def]
 def run_until(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
     """Motion under one command."""
     fresh = True
+    patience = m[STEPS] + MOST_STEPS
     while r[TIME] < until:
+        if m[STEPS] > patience:
+            m[LOST_WAY] = 1  # told to the caller; without this a plant of absurd constants would never return
+            r[TIME] = until
+            return
         fresh = advance_step(y, r, m, w, until, p, on, r[DUTY], fresh)
         if m[BODIES] == 1 and p[HALF_GAP] > 0.0:
             y[LOAD_THETA] = min(max(y[LOAD_THETA], y[THETA] - p[HALF_GAP]), y[THETA] + p[HALF_GAP])

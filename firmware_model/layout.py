@@ -10,7 +10,7 @@ THETA, OMEGA, CURRENT, LOAD_THETA, LOAD_OMEGA, SLIP, OWN = range(7)
 # m: whole numbers. SIDE is the direction of sliding (0 held), CONTACT the gap's closed face, FLOW the direction of
 # current where that matters (0: blocked, 2: ceasing within each pulse), STOPPED 1 while resting on an end of travel.
 SIDE, LOAD_SIDE, CONTACT, FLOW, STOPPED, MODE, BODIES, STATES = range(8)
-COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS = range(8, 14)
+COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS, LOST_WAY = range(8, 15)
 SWITCHES = 16
 
 # r: reals of the clockwork.

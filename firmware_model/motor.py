@@ -19,6 +19,7 @@ from firmware_model.layout import (
     EVENTS,
     FLOW,
     LOAD_THETA,
+    LOST_WAY,
     OWN,
     QUEUE,
     REALS,
@@ -149,6 +150,10 @@ class Motor:
     def run(self, mode: int, duty_pct: float, span_s: float) -> None:
         """Let ``span_s`` pass with the bridge in ``mode`` at a signed duty in percent."""
         run(*self._arrays(), mode, duty_pct, span_s)
+        if self._m[LOST_WAY]:
+            raise FirmwareModelError(
+                "the plant cannot be integrated: its constants make it too stiff or it never settles; check them"
+            )
 
     def run_many(
         self, modes: npt.NDArray[np.int64], duties_pct: FloatArray, span_s: float

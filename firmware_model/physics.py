@@ -173,8 +173,9 @@ def dry(time, y, side, effort, duty, p, on):  # type: ignore[no-untyped-def]
 
 
 @part
-def bristle(time, y, side, effort, duty, p, on):  # type: ignore[no-untyped-def]
-    """Friction force of a presliding spring, N m, signed."""
+def bristle(time, y, effort, duty, p, on):  # type: ignore[no-untyped-def]
+    """Friction of a presliding spring, N m, signed; where its size differs by direction, the deflection's counts."""
+    side = 1.0 if y[SLIP] > 0.0 else (-1.0 if y[SLIP] < 0.0 else 0.0)
     return sliding(time, y, side, effort, duty, p, on) * y[SLIP] / p[DEFLECTION]
 
 
@@ -210,7 +211,7 @@ def two_torques(time, y, m, duty, effort, p, on):  # type: ignore[no-untyped-def
         motor -= passed
         load += passed
     if p[DEFLECTION] > 0.0:
-        motor -= bristle(time, y, float(m[SIDE]), effort, duty, p, on)
+        motor -= bristle(time, y, effort, duty, p, on)
     return motor, load
 
 
@@ -219,7 +220,7 @@ def one_torque(time, y, m, duty, effort, p, on):  # type: ignore[no-untyped-def]
     """Torque on a machine of one inertia, dry friction apart, N m."""
     torque = shaft(time, y, duty, effort, p, on) + loads(time, y, y[THETA], y[OMEGA], duty, p, on)
     if p[DEFLECTION] > 0.0:
-        torque -= bristle(time, y, float(m[SIDE]), effort, duty, p, on)
+        torque -= bristle(time, y, effort, duty, p, on)
     return torque
 
 

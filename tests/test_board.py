@@ -130,9 +130,8 @@ def test_appendix_set_reaches_its_speed_at_2_volts() -> None:
     speed = (counts[-1] - counts[-401]) * math.radians(0.5) / 2.0
     assert speed == pytest.approx(7.64, abs=0.01)
     lag = 999 * 0.005 - (counts[-1] - counts[0]) * math.radians(0.5) / speed
-    assert lag == pytest.approx(
-        0.081 + 0.0047 / 2.27, abs=0.002
-    )  # the winding adds its own lag
+    winding_s = 0.0047 / 2.27  # adds its own lag
+    assert lag == pytest.approx(0.081 + winding_s, abs=0.004)
 
 
 def test_stall_against_a_hanging_mass() -> None:

@@ -9,7 +9,7 @@ from firmware_model.effect import Effect, Parameter
 EFFECT = Effect(
     name="fast_decay",
     summary="bridge open between the pulses, discontinuous conduction",
-    equation="v = (2d - 1) V while current flows; where it ceases, the mean of a pulse up (V - Ke w) and down (V + Ke w)",
+    equation="v = (2d - 1) V while current flows; where it ceases, a pulse up (V - Ke w) and down (V + Ke w)",
     parameters=(Parameter("diode_V", default=0.0, lower=0.0),),
     source="Pybricks commit e3f342e95; Erickson and Maksimovic, Fundamentals of Power Electronics, ch. 5",
     reduced=lambda plant, q: {"electrical_tau_s": plant.inductance_H / plant.R_ohm},
