@@ -81,7 +81,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
         patch.setattr(close, "confirm", watched_confirm)
         patch.setattr(firmware_model, "reveal", guarded_reveal)
         patch.setattr("firmware_model.sealed.reveal", guarded_reveal)
-        result = fiohost("close-loop", "--seed", "2", "--report", "out", "--json", "out.json")
+        result = fiohost("close-loop", "--seed", "3", "--report", "out", "--json", "out.json")
         assert result.exit_code == 0, result.output
     return folder, result
 
@@ -97,7 +97,7 @@ def test_the_result_holds_diagnosis_confirmation_and_seal(result: dict[str, Any]
     assert result["target"] == "sim:sealed"
     assert result["diagnosis"]["schema"] == "fiohost.diagnosis/1"
     assert result["diagnosis"]["verdict"] == "explained"
-    assert result["seal"]["seed"] == 2
+    assert result["seal"]["seed"] == 3
     truth = result["seal"]["effects"]
     assert len(truth) == 1
     assert same_class(named(result["diagnosis"])[0], truth[0])
@@ -124,7 +124,7 @@ def test_parameters_come_out_as_the_seal_says(result: dict[str, Any]) -> None:
 
 def test_the_page_is_one_file_with_everything_in_it(closed: tuple[Path, Result]) -> None:
     html = (closed[0] / "out" / "report.html").read_text(encoding="utf-8")
-    for text in ("The seal", "resh record", "input deadband", "floor"):
+    for text in ("The seal", "resh record", "voltage saturation", "floor"):
         assert text in html, text
     assert html.count("<svg") >= len(SUITE) + 1
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#)""", html)
