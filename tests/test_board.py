@@ -285,3 +285,42 @@ def test_every_shipped_plant_makes_a_board() -> None:
     assert {"default", "ideal", "nxt_no_load"} <= set(plant_names())
     for name in plant_names():
         Board(load_plant(name)).step(report(30.0, *FORWARD))
+
+
+def test_fast_decay_starts_only_above_half_duty() -> None:
+    """HARDWARE: the same motor starts at a few percent with the off-phase shorted, above about half with it open."""
+
+    def starts(name: str) -> int:
+        for duty in range(1, 100):
+            counts, _ = drive(Board(load_plant(name)), report(float(duty), *FORWARD), 60)
+            if counts[-1] - counts[0] > 2:
+                return duty
+        return 100
+
+    assert starts("default") <= 5
+    assert 48 <= starts("nxt_fast_decay") <= 60
+    slow, _ = drive(Board(load_plant("default")), report(100.0, *FORWARD), 300)
+    fast, _ = drive(Board(load_plant("nxt_fast_decay")), report(100.0, *FORWARD), 300)
+    assert np.array_equal(slow, fast)  # fully on there is no off-phase
+
+
+def test_end_of_travel_holds_and_lets_go() -> None:
+    board = Board(plant({"hard_stop": {"angle_deg": 30.2}}))
+    counts, _ = drive(board, report(40.0, *FORWARD), 300)
+    assert counts[-1] == counts[-100] == 60
+    back, _ = drive(board, report(40.0, *REVERSE), 100)
+    assert back[-1] < back[0] - 100
+
+
+def test_missed_counts_are_lost_for_good() -> None:
+    whole, _ = drive(Board(plant()), report(60.0, *FORWARD), 400)
+    lossy, _ = drive(Board(plant({"missed_counts": {"ratio": 0.05}})), report(60.0, *FORWARD), 400)
+    assert (lossy[-1] - lossy[0]) / (whole[-1] - whole[0]) == pytest.approx(0.95, abs=0.001)
+
+
+def test_eccentric_disc_shows_an_error_that_returns_every_turn() -> None:
+    straight, _ = drive(Board(plant()), report(50.0, *FORWARD), 800)
+    bent, _ = drive(Board(plant({"encoder_eccentricity": {"level_deg": 2.0}})), report(50.0, *FORWARD), 800)
+    error = (bent - straight) / 2.0
+    assert np.max(error) == pytest.approx(2.0, abs=0.6)
+    assert np.min(error) == pytest.approx(-2.0, abs=0.6)
