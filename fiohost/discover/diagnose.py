@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, refit, validate
+from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, polish, refit, validate
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors, replica, replica_models
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
@@ -27,7 +27,14 @@ from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 
 MOST_EFFECTS = 4
-REFITTED = 10
+# Effects are refitted while their score is this share of the best one's, at least and at most so many of them; those
+# that
+# fit so much worse than the best are not cross-validated.
+WORTH_REFITTING = 0.1
+LEAST_REFITTED, REFITTED = 4, 10
+HOPELESS = 4.0
+# Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
+AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.01
 LEAST_CV_GAIN = 0.01
 # Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
 SHORT_HORIZON_S = 2.0
@@ -157,8 +164,10 @@ class _Search:
         if not scores:
             return [], None, {}
         chance = self._chance(screen, scores)
-        self.say(f"refitting the best {min(REFITTED, len(scores))}")
-        refits = each(lambda s: refit(stage.fit, s, self.records), scores[:REFITTED])
+        worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
+        worth = scores[: max(len(worth), LEAST_REFITTED)]
+        self.say(f"refitting the best {len(worth)}")
+        refits = each(lambda s: refit(stage.fit, s, self.records), worth)
         shares = [1.0 - f.cost / stage.fit.cost for f in refits]
         base = self.validate(stage.fit)
         rejected: list[str | None] = []
@@ -167,6 +176,10 @@ class _Search:
             if share <= chance:
                 why = f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
             rejected.append(why)
+        least = min(f.cost for f in refits)
+        for i, found in enumerate(refits):
+            if rejected[i] is None and found.cost > HOPELESS * least:
+                rejected[i] = f"leaves {np.sqrt(found.cost / least):.1f} times the error of the best"
         passed = [i for i, why in enumerate(rejected) if why is None]
         self.say(f"cross-validating {len(passed)} of them")
         checked = dict(zip(passed, each(lambda i: self.validate(refits[i]), passed), strict=True))
@@ -185,12 +198,12 @@ class _Search:
             Candidate(
                 s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted"
             )
-            for s in scores[REFITTED:]
+            for s in scores[len(worth) :]
         ]
         able = [c for c in found_all if c.validated is not None]
         if not able:
             return found_all, None, {}
-        winner = self._winner(able, base)
+        winner = self._winner(able)
         evidence: dict[str, object] = {
             "residual_power_removed": winner.score,
             "by_chance": chance,
@@ -201,18 +214,14 @@ class _Search:
         return found_all, winner, evidence | {"base_cost": base.cost}
 
     @staticmethod
-    def _winner(able: Sequence[Candidate], base: Validated) -> Candidate:
-        """The lowest cross-validated error; among those as good within what the data can tell, the simplest."""
-        best = min(able, key=lambda c: c.validated.cost)  # type: ignore[union-attr]
-        assert best.validated is not None
-        close = [
-            c
-            for c in able
-            if c.validated is not None
-            and c.validated.cost <= best.validated.cost * 1.005
-            and indistinguishable(best.validated, c.validated, base.cost)
-        ]
-        return min(close, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
+    def _winner(able: Sequence[Candidate]) -> Candidate:
+        """The lowest left-out error decides; among those as good, the fit to all; among those as good, the simplest."""
+        checked = [(c, c.validated) for c in able if c.validated is not None]
+        least = min(v.cost for _, v in checked)
+        close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
+        fitted = min(v.fit.cost for _, v in close)
+        equal = [c for c, v in close if v.fit.cost <= AS_GOOD_FITTED * fitted]
+        return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
 
     def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
         """Names that this data cannot tell from the winner: exact equivalents always, and near ones by validation."""
@@ -265,7 +274,7 @@ def _search(search: _Search, model: Model, from_file: bool) -> _Found:
         base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
         names = search.rivals(winner, able, base_cost)
         search.say(f"adding {winner.effect}")
-        stage = search.stage(search.prune(winner.validated.fit, model))
+        stage = search.stage(polish(search.prune(winner.validated.fit, model), search.records, search.rng))
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         steps.append(Step(winner.effect, stage, evidence, names))

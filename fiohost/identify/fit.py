@@ -332,7 +332,7 @@ def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: boo
     return fit(near.model, records)
 
 
-def unchanged(model: Model, records: Sequence[Record]) -> Fit:
+def unchanged(model: Model, records: Sequence[Record], *, starts: Sequence[Start] | None = None) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records)
+    return fit(frozen, records, starts=starts)

@@ -22,6 +22,7 @@ EFFECTS = (
         commonness=7,
         signature="that of an input deadband of 2 % a microsecond",
         parameters=(Parameter("time_us", "us", 1.0, 0.0, 45.0),),
+        trials=({"time_us": 0.5}, {"time_us": 2.0}),
         equivalents=("input_deadband",),
         source="Switching delays of the bridge; Mohan, Undeland, Robbins, Power Electronics",
         command=command,
