@@ -10,16 +10,12 @@ from __future__ import annotations
 import math
 
 from firmware_model.compiled import part
-from firmware_model.hooks import drop
 from firmware_model.layout import (
     BODIES,
     CONTACT,
-    CURRENT,
-    FLOW,
     LOAD_OMEGA,
     LOAD_SIDE,
     LOAD_THETA,
-    MODE,
     OMEGA,
     SIDE,
     STOPPED,
@@ -27,28 +23,19 @@ from firmware_model.layout import (
     C,
 )
 from firmware_model.physics import (
-    CEASING,
-    DRIVEN,
-    STANDBY,
     dry,
     electrical,
-    fast,
     holding,
     inertias,
     one_torque,
-    pressure,
     two_torques,
 )
+from firmware_model.winding import current_broken, settle_flow, sign
 
 L, KT, HALF_GAP, STIFFNESS = int(C.L), int(C.KT), int(C.HALF_GAP), int(C.STIFFNESS)
 FAST = int(C.FAST)
 SMALL_A = 1e-12
 LOAD_COULOMB, STOP = int(C.LOAD_COULOMB), int(C.STOP)
-
-
-@part
-def sign(x):  # type: ignore[no-untyped-def]
-    return 1 if x > 0.0 else (-1 if x < 0.0 else 0)
 
 
 @part
@@ -84,56 +71,10 @@ def parting(time, y, m, duty, effort, p, on):  # type: ignore[no-untyped-def]
 
 
 @part
-def blocked(time, y, duty, p, on):  # type: ignore[no-untyped-def]
-    """Direction in which the driven current starts from zero against the voltage drop (0: it does not)."""
-    push = pressure(time, y, duty, p, on)
-    lost = drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
-    if lost <= 0.0:
-        return 1
-    return sign(push) if abs(push) > lost else 0
-
-
-@part
-def switched(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
-    """Whether a current under fast decay has left its regime: against the duty, continuous, ceasing in each pulse."""
-    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
-    if m[FLOW] == CEASING:
-        return not ceases or emf > supply + lost
-    current = way * y[CURRENT]
-    if m[FLOW] * way < 0.0:
-        return current > 0.0
-    return ceases and current < mean
-
-
-@part
-def settle_fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
-    """Regime of the current under fast decay."""
-    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
-    current = way * y[CURRENT]
-    if current < -SMALL_A or (current <= SMALL_A and emf > supply + lost):
-        m[FLOW] = -int(way)
-    elif ceases and current <= mean + SMALL_A:
-        m[FLOW] = CEASING
-        y[CURRENT] = way * mean
-    else:
-        m[FLOW] = int(way)
-        y[CURRENT] = way * max(current, 0.0)
-
-
-@part
 def broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Whether the state has gone beyond an event."""
-    if p[FAST] > 0.0 and m[MODE] == DRIVEN:
-        if switched(time, y, m, duty, p, on):
-            return True
-    elif p[L] > 0.0:
-        if m[FLOW] != 0:
-            if y[CURRENT] * m[FLOW] < 0.0 and (
-                m[MODE] == STANDBY or drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on) > 0.0
-            ):
-                return True
-        elif m[MODE] != STANDBY and blocked(time, y, duty, p, on) != 0:
-            return True
+    if current_broken(time, y, m, duty, p, on):
+        return True
     side = m[SIDE]
     if side != 0 and y[OMEGA] * side < 0.0:
         return True
@@ -175,25 +116,6 @@ def broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         if start(motor, forward, reverse, 0, 0.0) != 0:
             return True
     return m[LOAD_SIDE] == 0 and start(load, p[LOAD_COULOMB], p[LOAD_COULOMB], m[STOPPED], p[STOP]) != 0
-
-
-@part
-def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
-    """Which way the current may flow from here on."""
-    if p[FAST] > 0.0 and m[MODE] == DRIVEN:
-        settle_fast(time, y, m, duty, p, on)
-        return
-    if p[L] <= 0.0:
-        m[FLOW] = 1
-        return
-    if m[FLOW] != 0 and y[CURRENT] * m[FLOW] <= 0.0:
-        lost = drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
-        if (m[MODE] == STANDBY or lost > 0.0) and y[CURRENT] * m[FLOW] < 0.0 and abs(y[CURRENT]) < 1e-6:
-            y[CURRENT] = 0.0
-    if m[MODE] == STANDBY or y[CURRENT] != 0.0:
-        m[FLOW] = sign(y[CURRENT])
-    else:
-        m[FLOW] = blocked(time, y, duty, p, on)
 
 
 @part

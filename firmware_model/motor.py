@@ -150,6 +150,9 @@ class Motor:
     def run(self, mode: int, duty_pct: float, span_s: float) -> None:
         """Let ``span_s`` pass with the bridge in ``mode`` at a signed duty in percent."""
         run(*self._arrays(), mode, duty_pct, span_s)
+        self._check()
+
+    def _check(self) -> None:
         if self._m[LOST_WAY]:
             raise FirmwareModelError(
                 "the plant cannot be integrated: its constants make it too stiff or it never settles; check them"
@@ -162,6 +165,7 @@ class Motor:
         counts = np.zeros(len(duties_pct), np.int64)
         states = np.zeros((len(duties_pct), len(self._y)))
         run_many(*self._arrays(), modes, duties_pct, span_s, counts, states)
+        self._check()
         return counts, states
 
 
