@@ -1,0 +1,101 @@
+"""Real measurements: a LEGO NXT motor at constant powers (University of Trento lab course, 2017).
+
+Declared is a linear motor, fitted on 10, 20 .. 100 % power and judged on 15, 25 .. 95 %. The runs do not repeat to the
+count (supply and friction differ from run to run), so an honest answer names the dry friction and says that structure
+remains. Here on the first seconds of every run and with the effects that constant powers can show; the whole runs with
+the whole library are ``benchmarks/measured.py``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from fiohost.bench.log import Log
+from fiohost.circle.evidence import diagnose
+from fiohost.cli.main import cli
+from fiohost.discover.diagnose import Diagnosis
+from fiohost.discover.result import to_json
+from fiohost.motor.effect import effect
+
+SECONDS = 4.0
+FIT = range(10, 101, 10)
+JUDGE = range(15, 96, 10)
+LIBRARY = (
+    "coulomb_friction", "input_deadband", "constant_load", "transport_delay", "voltage_saturation", "gravity_load",
+    "backlash",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def imported(measured_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """The first seconds of every run as a log, made by ``fiohost import``; by power in percent."""
+    folder = tmp_path_factory.mktemp("nxt")
+    made = {}
+    for power in (*FIT, *JUDGE):
+        table = measured_data / "measured" / "nxt_open_loop" / f"power_{power:03d}.csv"
+        lines = table.read_text().splitlines(keepends=True)
+        begun = [line for line in lines[1:] if float(line.split(",")[0]) <= SECONDS]
+        cut, log = folder / table.name, folder / f"log_{power:03d}.csv"
+        cut.write_text(lines[0] + "".join(begun))
+        result = CliRunner().invoke(cli, ["import", str(cut), "--map", "nxt_open_loop", "-o", str(log)])
+        assert result.exit_code == 0, result.output
+        made[power] = log
+    return made
+
+
+@pytest.fixture(scope="module")
+def found(imported: dict[int, Path]) -> Diagnosis:
+    train, held = [imported[p] for p in FIT], [imported[p] for p in JUDGE]
+    return diagnose(train, held, "linear", library=LIBRARY)
+
+
+@pytest.fixture(scope="module")
+def told(found: Diagnosis) -> dict[str, Any]:
+    return to_json(found)
+
+
+def test_the_import_says_what_was_measured_and_how(imported: dict[int, Path]) -> None:
+    for power, path in imported.items():
+        log = Log.read(path)
+        assert np.all(log.duty_pct == power)
+        assert log.output_name == "angle_deg"
+        assert log.output_quantum == 1.0
+        assert log.command_delay_ticks == 0
+        assert log.sample_time_s == pytest.approx(0.004, rel=1e-3)
+        assert log.dropped == ()
+
+
+def test_dry_friction_is_found_or_a_name_that_these_data_cannot_tell_from_it(told: dict[str, Any]) -> None:
+    assert told["steps"], "nothing was found in measurements of a motor with dry friction"
+    names = [told["steps"][0]["effect"], *told["steps"][0]["indistinguishable_from"]]
+    assert "coulomb_friction" in names, names
+    for step in told["steps"]:
+        assert effect(step["effect"]).name == step["effect"]
+    level = told["final"]["parameters"].get("coulomb_friction.level_pct")
+    if level is not None:
+        assert 0.5 < level["value"] < 4.0
+
+
+def test_the_held_out_error_falls_by_much_in_whole_runs_and_in_windows(told: dict[str, Any]) -> None:
+    before, after = told["before"]["holdout"], told["after"]["holdout"]
+    assert after["free_run_rms"] < 0.65 * before["free_run_rms"]
+    assert after["window_rms"] < 0.75 * before["window_rms"]
+
+
+def test_no_step_is_taken_that_makes_held_out_runs_worse(told: dict[str, Any]) -> None:
+    figures = [told["before"]["holdout"]["window_rms"], *(s["after"]["holdout"]["window_rms"] for s in told["steps"])]
+    assert figures == sorted(figures, reverse=True)
+
+
+def test_what_remains_is_said(told: dict[str, Any]) -> None:
+    assert told["verdict"] == "unexplained"
+    assert not told["residual"]["white"]
+    assert told["residual"]["tests"]["above_floor"]
+    assert told["after"]["holdout"]["window_rms"] > 1.5 * told["floor"]["holdout"]["window_rms"]
+    for candidate in told["candidates"]:
+        assert candidate["effect"] in LIBRARY
