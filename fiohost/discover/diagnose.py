@@ -39,6 +39,7 @@ LEAST_CV_GAIN = 0.01
 # Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
 SHORT_HORIZON_S = 2.0
 SHORT_IS_BETTER = 0.97
+FAR_FROM_FLOOR = 2.0
 
 Progress = Callable[[str], None]
 
@@ -255,6 +256,12 @@ class _Found:
     offered: tuple[Candidate, ...]
 
 
+def _over_floor(stage: Stage) -> float:
+    """Pooled window error over its floor."""
+    error, floor = pool([j.errors for j in stage.judgements]), pool([f.errors for f in stage.floors])
+    return error.window_rms / floor.window_rms if error and floor and floor.window_rms > 0 else np.inf
+
+
 def _window_rms(found: _Found) -> float:
     errors = pool([j.errors for j in found.stages[-1].judgements])
     return errors.window_rms if errors else 0.0
@@ -307,7 +314,7 @@ def diagnose_records(
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     found = _search(_Search(train, None, rng, library, say), model, from_file)
     horizon_s = None
-    if not found.stages[-1].at_floor:
+    if not found.stages[-1].at_floor and _over_floor(found.stages[-1]) > FAR_FROM_FLOOR:
         say(f"whole runs stay unexplained: looking at pieces of {SHORT_HORIZON_S:g} s")
         short = _search(_Search(train, SHORT_HORIZON_S, rng, library, say), model, from_file)
         if _window_rms(short) < SHORT_IS_BETTER * _window_rms(found):

@@ -1,0 +1,201 @@
+"""How often discovery is right: random plants, effects and sizes from the board, rates with their counts and bounds.
+
+    python benchmarks/discovery.py --cases clear=8,none=20,pairs=10 --out results.jsonl     resumes where it stopped
+    python benchmarks/discovery.py --table results.jsonl                                    prints the table
+
+Seeds are fresh from the system unless ``--seed`` is given, and recorded. The truth comes from ``firmware_model`` through
+the wire; the engine sees logs only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from discovery_cases import EFFECTS, make_case
+
+SUITE = ("staircase", "multisine", "multisine", "multisine", "pulses", "sine_slow", "square_170_190")
+DECLARED = "linear+coulomb_friction"
+# Effects that are the same thing to an encoder and a duty, whatever the experiment.
+CLASSES = (
+    {"asymmetric_coulomb_friction", "constant_load"},
+    {"gravity_load", "cogging_torque"},
+    {"input_deadband", "pwm_dead_time"},
+)
+
+
+def same(a: str, b: str) -> bool:
+    return a == b or any({a, b} <= c for c in CLASSES)
+
+
+def run_case(seed: int, names: tuple[str, ...], leave_out: str | None) -> dict[str, Any]:
+    """One case from board to verdict."""
+    from fiohost.bench.experiment import Experiment
+    from fiohost.bench.loop import Bench
+    from fiohost.circle.confirm import confirm
+    from fiohost.circle.evidence import diagnose
+    from fiohost.circle.plan import fresh
+    from fiohost.identify.intervals import estimates
+    from fiohost.identify.record import record_from_log
+    from fiohost.motor.effect import effects
+    from fiohost.transport.profile import TargetProfile
+    from fiohost.transport.simulated import SimulatedTransport
+    from firmware_model import Board
+
+    case = make_case(seed, names)
+    board = Board(case.plant, seed=seed)
+    with Bench(SimulatedTransport(board.step, "sim:sealed", "simulated"), TargetProfile.load()) as bench:
+        logs = [bench.run(Experiment.load(name)) for name in SUITE]
+        newest = bench.run(fresh(seed))
+    library = [n for n in effects() if n != leave_out and not (leave_out and same(n, leave_out))]
+    began = time.monotonic()
+    found = diagnose(logs, (), DECLARED, library=library if leave_out else None)
+    checked = confirm(record_from_log(newest), found.declared, found.final)
+    declared = [j.errors.window_rms for j in found.declared.judgements]
+    floor = [f.errors.window_rms for f in found.final.floors]
+    known = estimates(found.final.fit)
+    return {
+        "seed": seed,
+        "truth": list(names),
+        "left_out": leave_out,
+        "reduced": case.reduced,
+        "clarity": max(d / f for d, f in zip(declared, floor, strict=True)),
+        "verdict": found.verdict,
+        "named": [s.effect for s in found.steps],
+        "rivals": [list(s.indistinguishable_from) for s in found.steps],
+        "model": dict(found.final.fit.model.values),
+        "intervals": {k: e.ci95 for k, e in known.items()},
+        "horizon_s": found.horizon_s,
+        "confirm": {
+            "before": checked.before.errors.window_rms,
+            "after": checked.after.errors.window_rms,
+            "floor": checked.floor.errors.window_rms,
+        },
+        "seconds": time.monotonic() - began,
+    }
+
+
+def plan(text: str, rng: Any) -> list[tuple[int, tuple[str, ...], str | None]]:
+    """Cases to run: ``all=N`` (every effect N times), ``none=N``, ``pairs=N``, ``outside=N``, or ``EFFECT=N``."""
+    cases: list[tuple[int, tuple[str, ...], str | None]] = []
+    for item in text.split(","):
+        name, _, count = item.partition("=")
+        for _ in range(int(count)):
+            if name == "none":
+                cases.append((rng(), (), None))
+            elif name == "pairs":
+                names = sorted(EFFECTS)
+                first = names[rng() % len(names)]
+                second = names[rng() % len(names)]
+                if not same(first, second):
+                    cases.append((rng(), (first, second), None))
+            elif name == "outside":
+                names = sorted(EFFECTS)
+                only = names[rng() % len(names)]
+                cases.append((rng(), (only,), only))
+            elif name == "all":
+                cases.extend((rng(), (n,), None) for n in EFFECTS)
+            else:
+                cases.append((rng(), (name,), None))
+    return cases
+
+
+def wilson(hits: int, total: int) -> str:
+    """A rate with its counts and 95 % bounds (Wilson 1927)."""
+    if total == 0:
+        return "-"
+    z = 1.96
+    p = hits / total
+    middle = (p + z * z / (2 * total)) / (1 + z * z / total)
+    half = z / (1 + z * z / total) * (p * (1 - p) / total + z * z / (4 * total * total)) ** 0.5
+    return f"{100 * p:.0f} % ({hits}/{total}; {100 * max(middle - half, 0):.0f}..{100 * min(middle + half, 1):.0f})"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rates as Markdown, misses by name."""
+    lines = []
+
+    def right(row: dict[str, Any]) -> bool:
+        return bool(row["named"]) and same(row["named"][0], row["truth"][0])
+
+    def in_set(row: dict[str, Any]) -> bool:
+        return any(same(n, row["truth"][0]) for i, s in enumerate(row["named"]) for n in (s, *row["rivals"][i]))
+
+    single = [r for r in rows if len(r["truth"]) == 1 and not r["left_out"]]
+    for label, low, high in (("clear (3 times the floor or more)", 3.0, 1e9), ("faint (1.2 to 3)", 1.2, 3.0), ("hidden (below 1.2)", 0.0, 1.2)):
+        group = [r for r in single if low <= r["clarity"] < high]
+        lines.append(f"- {label}: first name right {wilson(sum(map(right, group)), len(group))}, "
+                     f"in the named set {wilson(sum(map(in_set, group)), len(group))}, "
+                     f"explained {wilson(sum(r['verdict'] == 'explained' for r in group), len(group))}, "
+                     f"further effects {wilson(sum(len(r['named']) > 1 for r in group), len(group))}")
+    none = [r for r in rows if not r["truth"]]
+    lines.append(f"- effect-free: any effect claimed {wilson(sum(bool(r['named']) for r in none), len(none))}, "
+                 f"called unexplained {wilson(sum(r['verdict'] == 'unexplained' for r in none), len(none))}")
+    outside = [r for r in rows if r["left_out"]]
+    lines.append(f"- outside the library, explained away: {wilson(sum(r['verdict'] == 'explained' for r in outside), len(outside))}")
+    pairs = [r for r in rows if len(r["truth"]) == 2]
+    exact = sum(
+        len(r["named"]) == 2 and all(any(same(n, t) for n in r["named"]) for t in r["truth"]) for r in pairs
+    )
+    first = sum(bool(r["named"]) and any(same(r["named"][0], t) for t in r["truth"]) for r in pairs)
+    lines.append(f"- pairs: exact set {wilson(exact, len(pairs))}, first pick right {wilson(first, len(pairs))}")
+    good = [r for r in single if right(r) and r["clarity"] >= 3.0]
+    ratios = sorted(r["confirm"]["after"] / r["confirm"]["floor"] for r in good)
+    if ratios:
+        lines.append(f"- fresh record, windowed error over floor: median {ratios[len(ratios) // 2]:.3f}, worst {ratios[-1]:.2f}")
+    lines.append(f"- seconds a diagnosis: median {sorted(r['seconds'] for r in rows)[len(rows) // 2]:.1f}")
+    lines.append("")
+    for r in rows:
+        wrong = (len(r["truth"]) == 1 and not r["left_out"] and not right(r) and r["clarity"] >= 1.2) or (not r["truth"] and r["named"])
+        if wrong or (r["verdict"] == "unexplained" and not r["left_out"]):
+            truth = "+".join(r["truth"]) or "nothing"
+            named = "+".join(r["named"]) or "nothing"
+            lines.append(f"  - {truth} (seed {r['seed']}, {r['clarity']:.1f} times the floor): {r['verdict']}, {named}; fresh {r['confirm']['before']:.3f} -> {r['confirm']['after']:.3f}, floor {r['confirm']['floor']:.3f}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", default="all=1,none=10")
+    parser.add_argument("--out", type=Path, default=Path("discovery.jsonl"))
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--table", type=Path)
+    options = parser.parse_args()
+    if options.table:
+        print(table([json.loads(line) for line in options.table.read_text().splitlines()]))
+        return
+    if options.seed is None:
+        draw = lambda: secrets.randbelow(2**31)  # noqa: E731
+    else:
+        import random
+
+        fixed = random.Random(options.seed)
+        draw = lambda: fixed.randrange(2**31)  # noqa: E731
+    cases = plan(options.cases, draw)
+    with ProcessPoolExecutor(options.jobs) as pool, options.out.open("a") as out:
+        waiting = {pool.submit(run_case, *case): case for case in cases}
+        for i, done in enumerate(as_completed(waiting)):
+            seed, names, _ = waiting[done]
+            try:
+                row = done.result()
+            except Exception as exc:
+                print(f"{names} seed {seed}: {type(exc).__name__}: {exc}", file=sys.stderr)
+                continue
+            out.write(json.dumps(row, default=str) + "\n")
+            out.flush()
+            print(f"{i + 1}/{len(cases)} {'+'.join(names) or 'nothing'}: {row['verdict']} {row['named']} "
+                  f"(x{row['clarity']:.1f}, {row['seconds']:.0f} s)", file=sys.stderr, flush=True)
+    print(table([json.loads(line) for line in options.out.read_text().splitlines()]))
+
+
+if __name__ == "__main__":
+    main()
