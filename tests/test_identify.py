@@ -10,7 +10,7 @@ from fiohost.discover.metrics import judge
 from fiohost.errors import DataError
 from fiohost.identify.fit import fit, fit_from_scratch
 from fiohost.identify.intervals import estimates
-from fiohost.identify.predict import Flat, free_output, initial_state
+from fiohost.identify.predict import Flat, free_output, free_states, initial_state, window_residuals
 from fiohost.identify.record import MEAN_SPEED, SPEED, cut_windows, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -115,3 +115,22 @@ def test_nothing_to_fit_is_said() -> None:
     still = make_record("still", np.arange(100) * TICK_S, np.zeros(100), np.zeros(100), quantum=0.5)
     with pytest.raises(DataError, match="moving"):
         fit_from_scratch(Model(), [still])
+
+
+def test_windows_are_fitted_to_their_minimum_wherever_the_free_run_stands() -> None:
+    """An offset of the run as a whole must not spoil the search for a window's speed."""
+    rng = np.random.default_rng(41)
+    truth = truth_model(())
+    record = measure(truth, np.full(1600, 60.0), rng)
+    near = truth.with_values({"linear.gain_deg_s_per_pct": 10.4, "linear.tau_s": 0.1})
+    found = [
+        window_residuals(record, Flat.of(near), free_states(record, Flat.of(near), Start(angle, 150.0)))
+        for angle in (0.0, 0.004, 0.5, 40.0, -3000.0)
+    ]
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=1e-4)
+    fits = [fit(truth.with_values({"linear.gain_deg_s_per_pct": k, "linear.tau_s": t}), [record], windows=True).model
+            for k, t in ((9.0, 0.03), (10.6, 0.2), (14.0, 0.07))]  # fmt: skip
+    for model in fits:
+        assert model.number("linear.gain_deg_s_per_pct") == pytest.approx(10.6, rel=1e-3)
+        assert model.number("linear.tau_s") == pytest.approx(0.072, rel=0.02)

@@ -100,7 +100,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
         damping = 1e-9
         for _ in range(12):
             # Columns: speed by difference; angle by difference or exactly one.
-            _move(state, base, shift, omega + speed_step)
+            _move(state, base, shift if bends else 0.0, omega + speed_step)
             simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
             output(times, states, a, n, kind, seen, p, on, y1)
             if kind == ANGLE and not bends:
