@@ -25,6 +25,10 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 STARTS = 3
+# Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
+COARSE = np.geomspace(0.2, 5.0, 20)
+FINE = np.geomspace(0.85, 1.18, 16)
+MOMENT_S = 2.0
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
 SIGMAS_FROM_NEUTRAL = 3.0
@@ -123,9 +127,10 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
     return Validated(fitted, np.array(blocks), np.array(costs))
 
 
-def refit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
-    """The base model with one effect added, fitted from the best few of its trials; the best of them is fitted
-    fully.
+def refit(base: Fit, score: Score, records: Sequence[Record], *, search: bool = True) -> Fit:
+    """The base model with one effect added, fitted from the best few of its trials; the best is fitted fully.
+
+    ``search`` also looks along its ragged parameters.
     """
     name = score.effect.name
     starts: list[Model] = []
@@ -133,7 +138,27 @@ def refit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         starts.append(base.model.with_effect(name, trial))
     rough = [fit(m, records, starts=base.starts, max_iterations=5, tolerance=1e-2) for m in starts]
     best = min(rough, key=lambda f: f.cost)
-    return fit(best.model, records, starts=best.starts, max_iterations=25, tolerance=1e-6)
+    best = fit(best.model, records, starts=best.starts, max_iterations=25, tolerance=1e-6)
+    for parameter in score.effect.parameters:
+        if parameter.ragged and search:
+            best = _searched(best, f"{name}.{parameter.name}", records)
+    return best
+
+
+def _searched(found: Fit, key: str, records: Sequence[Record]) -> Fit:
+    """The best of fits from points along one parameter, coarse then fine, the others fitted anew from the best
+    points.
+    """
+    parameter = found.model.parameter(key)
+    for factors in (COARSE, FINE):
+        centre = found.model.number(key)
+        points = [centre * f if parameter.neutral == 0.0 else centre + MOMENT_S * np.log(f) for f in factors]
+        models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
+        costs = [unchanged(m, records, starts=found.starts).cost for m in models]
+        near = [models[i] for i in np.argsort(costs)[:2]]
+        fits = [fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-5) for m in near]
+        found = min((found, *fits), key=lambda f: f.cost)
+    return found
 
 
 def each(run: Callable[[T], R], items: Sequence[T]) -> list[R]:
@@ -181,15 +206,17 @@ def objection(found: Fit, name: str) -> str | None:
     known = estimates(found)
     for parameter in found.model.parts()[-1].parameters:
         key = f"{name}.{parameter.name}"
-        if parameter.is_choice or parameter.neutral is None or key not in known:
+        if not parameter.is_smooth or key not in known:
             continue
         value = known[key]
+        if value.at_bound:
+            return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
+        if parameter.neutral is None or parameter.ragged:
+            continue  # a ragged parameter has no width by gradients: the fit and the left-out records judge it
         if abs(value.value - parameter.neutral) < 1e-9:
             return f"{parameter.name} went to {parameter.neutral:g}, where the effect vanishes"
         if value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - parameter.neutral):
             return f"{parameter.name} is not distinct from {parameter.neutral:g}, where the effect vanishes"
-        if value.at_bound:
-            return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
     return None
 
 

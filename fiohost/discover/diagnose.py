@@ -166,9 +166,10 @@ class _Search:
             return [], None, {}
         chance = self._chance(screen, scores)
         worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
-        worth = scores[: max(len(worth), LEAST_REFITTED)]
+        whole = self.horizon_s is None
+        worth = scores[: max(len(worth), LEAST_REFITTED) if whole else LEAST_REFITTED]
         self.say(f"refitting the best {len(worth)}")
-        refits = each(lambda s: refit(stage.fit, s, self.records), worth)
+        refits = each(lambda s: refit(stage.fit, s, self.records, search=whole), worth)
         shares = [1.0 - f.cost / stage.fit.cost for f in refits]
         base = self.validate(stage.fit)
         rejected: list[str | None] = []

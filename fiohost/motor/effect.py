@@ -39,6 +39,7 @@ class Parameter:
     """One number (or choice) of an effect.
 
     ``neutral`` is the value at which the effect vanishes (None where the effect has none, as for a phase);
+    ``ragged`` says that the cost is no smooth function of it, so that it is searched, not only followed downhill;
     ``step`` is the finite-difference step, relative to the value where ``relative_step`` is set.
     """
 
@@ -53,6 +54,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     period: float | None = None
     whole: bool = False
+    ragged: bool = False
 
     @property
     def is_choice(self) -> bool:

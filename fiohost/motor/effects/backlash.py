@@ -20,7 +20,7 @@ EFFECTS = (
         acts_on="structure",
         signature="after each reversal: a flat of fixed width in angle (encoder after), light start and kick (before)",
         parameters=(
-            Parameter("gap_deg", "deg", 2.0, 0.0, 90.0, step=2e-2),
+            Parameter("gap_deg", "deg", 2.0, 0.0, 90.0, step=2e-2, ragged=True),
             Parameter(
                 "side", "", "encoder_after_gap", neutral=None, choices=("encoder_after_gap", "encoder_before_gap")
             ),

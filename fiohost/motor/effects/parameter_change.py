@@ -22,7 +22,7 @@ EFFECTS = (
         acts_on="structure",
         signature="one model before a moment, another after it",
         parameters=(
-            Parameter("time_s", "s", 10.0, 0.0, 1e6, neutral=None, step=5e-3),
+            Parameter("time_s", "s", 10.0, 0.0, 1e6, neutral=None, step=5e-3, ragged=True),
             Parameter("which", "", "inertia", neutral=None, choices=("inertia", "friction", "gain")),
             Parameter("ratio", "", 1.3, 0.02, 50.0, neutral=1.0, step=1e-4),
         ),

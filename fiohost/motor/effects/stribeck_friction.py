@@ -43,7 +43,7 @@ EFFECTS = (
         acts_on="friction",
         commonness=3,
         signature="late starts from rest only; nothing while moving",
-        parameters=(Parameter("extra_pct", "%", 1.5, 0.0, 50.0, step=0.02),),
+        parameters=(Parameter("extra_pct", "%", 1.5, 0.0, 50.0, step=0.02, ragged=True),),
         trials=({"extra_pct": 0.5}, {"extra_pct": 1.5}, {"extra_pct": 4.0}),
         source="D. Karnopp, Computer simulation of stick-slip friction, ASME J. Dyn. Syst. 107, 1985",
         breakaway=breakaway,
