@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -206,6 +206,7 @@ class _Search:
         if not able:
             return found_all, None, {}
         winner = self._winner(able)
+        found_all = [self._beside(c, winner) for c in found_all]
         evidence: dict[str, object] = {
             "residual_power_removed": winner.score,
             "by_chance": chance,
@@ -214,6 +215,14 @@ class _Search:
             else None,
         }
         return found_all, winner, evidence | {"base_cost": base.cost}
+
+    @staticmethod
+    def _beside(candidate: Candidate, winner: Candidate) -> Candidate:
+        """A candidate that could have been taken says how it did beside the one that was."""
+        if candidate is winner or candidate.validated is None or winner.validated is None:
+            return candidate
+        ratio = float(np.sqrt(candidate.validated.cost / winner.validated.cost))
+        return replace(candidate, rejected_because=f"leaves {ratio:.3g} times the left-out error of {winner.effect}")
 
     @staticmethod
     def _winner(able: Sequence[Candidate]) -> Candidate:

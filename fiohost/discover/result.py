@@ -92,7 +92,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         },
         "logs": logs,
         "candidates": [
-            {"effect": c.effect, "score": c.score, "rejected_because": c.rejected_because}
+            {"effect": c.effect, "score": max(c.score, 0.0), "rejected_because": c.rejected_because}
             for c in sorted(found.candidates, key=lambda c: c.score, reverse=True)
         ],
         "residual": {

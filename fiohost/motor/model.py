@@ -10,7 +10,7 @@ import numpy as np
 
 from fiohost.errors import ConfigError, FiohostError, ModelError
 from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layout
-from fiohost.settings import find_config, nearest, read_toml
+from fiohost.settings import config_names, find_config, nearest, read_toml
 
 SCHEMA = "fiohost.model/1"
 
@@ -48,11 +48,13 @@ class Model:
         """Read ``linear+EFFECT+...`` or a model file. Raises ModelError or ConfigError naming the nearest valid
         name.
         """
-        if text.endswith(".toml") or "/" in text:
+        if text.endswith(".toml") or "/" in text or text in config_names("models"):
             return cls.read(find_config("models", text))
         names = [part.strip() for part in text.split("+")]
         if names[0] != "linear":
-            effect(names[0])
+            known = [*effects(), *config_names("models")]
+            if names[0] not in known:
+                raise ModelError(f"unknown model or effect {names[0]!r}; {nearest(names[0], known)}")
             raise ModelError(f"a model begins with linear, as in linear+{'+'.join(names)}")
         return cls(effects=tuple(effect(name).name for name in names[1:]))
 
