@@ -3,8 +3,8 @@
     python benchmarks/discovery.py --cases clear=8,none=20,pairs=10 --out results.jsonl     resumes where it stopped
     python benchmarks/discovery.py --table results.jsonl                                    prints the table
 
-Seeds are fresh from the system unless ``--seed`` is given, and recorded. The truth comes from ``firmware_model`` through
-the wire; the engine sees logs only.
+Seeds are fresh from the system unless ``--seed`` is given, and recorded. The truth comes from ``firmware_model``
+through the wire; the engine sees logs only.
 """
 
 from __future__ import annotations
@@ -130,35 +130,49 @@ def table(rows: list[dict[str, Any]]) -> str:
         return any(same(n, row["truth"][0]) for i, s in enumerate(row["named"]) for n in (s, *row["rivals"][i]))
 
     single = [r for r in rows if len(r["truth"]) == 1 and not r["left_out"]]
-    for label, low, high in (("clear (3 times the floor or more)", 3.0, 1e9), ("faint (1.2 to 3)", 1.2, 3.0), ("hidden (below 1.2)", 0.0, 1.2)):
+    for label, low, high in (
+        ("clear (3 times the floor or more)", 3.0, 1e9),
+        ("faint (1.2 to 3)", 1.2, 3.0),
+        ("hidden (below 1.2)", 0.0, 1.2),
+    ):
         group = [r for r in single if low <= r["clarity"] < high]
-        lines.append(f"- {label}: first name right {wilson(sum(map(right, group)), len(group))}, "
-                     f"in the named set {wilson(sum(map(in_set, group)), len(group))}, "
-                     f"explained {wilson(sum(r['verdict'] == 'explained' for r in group), len(group))}, "
-                     f"further effects {wilson(sum(len(r['named']) > 1 for r in group), len(group))}")
+        lines.append(
+            f"- {label}: first name right {wilson(sum(map(right, group)), len(group))}, "
+            f"in the named set {wilson(sum(map(in_set, group)), len(group))}, "
+            f"explained {wilson(sum(r['verdict'] == 'explained' for r in group), len(group))}, "
+            f"further effects {wilson(sum(len(r['named']) > 1 for r in group), len(group))}"
+        )
     none = [r for r in rows if not r["truth"]]
-    lines.append(f"- effect-free: any effect claimed {wilson(sum(bool(r['named']) for r in none), len(none))}, "
-                 f"called unexplained {wilson(sum(r['verdict'] == 'unexplained' for r in none), len(none))}")
-    outside = [r for r in rows if r["left_out"]]
-    lines.append(f"- outside the library, explained away: {wilson(sum(r['verdict'] == 'explained' for r in outside), len(outside))}")
-    pairs = [r for r in rows if len(r["truth"]) == 2]
-    exact = sum(
-        len(r["named"]) == 2 and all(any(same(n, t) for n in r["named"]) for t in r["truth"]) for r in pairs
+    lines.append(
+        f"- effect-free: any effect claimed {wilson(sum(bool(r['named']) for r in none), len(none))}, "
+        f"called unexplained {wilson(sum(r['verdict'] == 'unexplained' for r in none), len(none))}"
     )
+    outside = [r for r in rows if r["left_out"]]
+    lines.append(
+        f"- outside the library, explained away: {wilson(sum(r['verdict'] == 'explained' for r in outside), len(outside))}"
+    )
+    pairs = [r for r in rows if len(r["truth"]) == 2]
+    exact = sum(len(r["named"]) == 2 and all(any(same(n, t) for n in r["named"]) for t in r["truth"]) for r in pairs)
     first = sum(bool(r["named"]) and any(same(r["named"][0], t) for t in r["truth"]) for r in pairs)
     lines.append(f"- pairs: exact set {wilson(exact, len(pairs))}, first pick right {wilson(first, len(pairs))}")
     good = [r for r in single if right(r) and r["clarity"] >= 3.0]
     ratios = sorted(r["confirm"]["after"] / r["confirm"]["floor"] for r in good)
     if ratios:
-        lines.append(f"- fresh record, windowed error over floor: median {ratios[len(ratios) // 2]:.3f}, worst {ratios[-1]:.2f}")
+        lines.append(
+            f"- fresh record, windowed error over floor: median {ratios[len(ratios) // 2]:.3f}, worst {ratios[-1]:.2f}"
+        )
     lines.append(f"- seconds a diagnosis: median {sorted(r['seconds'] for r in rows)[len(rows) // 2]:.1f}")
     lines.append("")
     for r in rows:
-        wrong = (len(r["truth"]) == 1 and not r["left_out"] and not right(r) and r["clarity"] >= 1.2) or (not r["truth"] and r["named"])
+        wrong = (len(r["truth"]) == 1 and not r["left_out"] and not right(r) and r["clarity"] >= 1.2) or (
+            not r["truth"] and r["named"]
+        )
         if wrong or (r["verdict"] == "unexplained" and not r["left_out"]):
             truth = "+".join(r["truth"]) or "nothing"
             named = "+".join(r["named"]) or "nothing"
-            lines.append(f"  - {truth} (seed {r['seed']}, {r['clarity']:.1f} times the floor): {r['verdict']}, {named}; fresh {r['confirm']['before']:.3f} -> {r['confirm']['after']:.3f}, floor {r['confirm']['floor']:.3f}")
+            lines.append(
+                f"  - {truth} (seed {r['seed']}, {r['clarity']:.1f} times the floor): {r['verdict']}, {named}; fresh {r['confirm']['before']:.3f} -> {r['confirm']['after']:.3f}, floor {r['confirm']['floor']:.3f}"
+            )
     return "\n".join(lines)
 
 
@@ -192,8 +206,12 @@ def main() -> None:
                 continue
             out.write(json.dumps(row, default=str) + "\n")
             out.flush()
-            print(f"{i + 1}/{len(cases)} {'+'.join(names) or 'nothing'}: {row['verdict']} {row['named']} "
-                  f"(x{row['clarity']:.1f}, {row['seconds']:.0f} s)", file=sys.stderr, flush=True)
+            print(
+                f"{i + 1}/{len(cases)} {'+'.join(names) or 'nothing'}: {row['verdict']} {row['named']} "
+                f"(x{row['clarity']:.1f}, {row['seconds']:.0f} s)",
+                file=sys.stderr,
+                flush=True,
+            )
     print(table([json.loads(line) for line in options.out.read_text().splitlines()]))
 
 

@@ -23,7 +23,9 @@ def spread(rng: random.Random, low: float, high: float) -> float:
 
 
 def motor(rng: random.Random) -> Values:
-    """A geared motor with dry friction and nothing else: gain 6 to 16 deg/s per %, lag 40 to 150 ms, friction 1 to 6 %."""
+    """A geared motor with dry friction and nothing else: gain 6 to 16 deg/s per %, lag 40 to 150 ms, friction 1
+    to 6 %.
+    """
     gain, tau, friction = spread(rng, 6.0, 16.0), spread(rng, 0.04, 0.15), spread(rng, 1.0, 6.0)
     resistance = spread(rng, 3.0, 9.0)
     back_emf = SUPPLY_V / (100.0 * math.radians(gain))

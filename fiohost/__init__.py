@@ -1,7 +1,7 @@
 """Host tool for DC-motor control benches: drive, log, identify, and name what the model lacks.
 
 The public names are loaded when first used, so that ``import fiohost`` costs nothing:
-``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``, ``design``.
+``connect``, ``Bench``, ``Log``, ``Model``, ``diagnose``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _WHERE = {
     "Bench": "fiohost.bench.loop",
     "Log": "fiohost.bench.log",
     "Model": "fiohost.motor.model",
-    "diagnose": "fiohost.discover.diagnose",
+    "diagnose": "fiohost.circle.evidence",
 }
 
 __all__ = ["__version__", *_WHERE]

@@ -229,7 +229,9 @@ class Bench:
         return self._codec.decode(report)
 
     def _bench_time_s(self) -> float:
-        """Seconds since the bench was opened, by the board's ticks where it is in lock step: for what drifts or warms."""
+        """Seconds since the bench was opened, by the board's ticks where it is in lock step: for what drifts or
+        warms.
+        """
         if self.transport.lock_step:
             return self._received * self.sample_time_s
         return self.clock.now_s() - self._opened_s

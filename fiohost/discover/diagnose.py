@@ -1,85 +1,30 @@
 """The diagnosis: fit what is declared, judge it, and add what it lacks until nothing more is earned.
 
-    fit -> judge against the floor -> evidence -> screen -> refit -> cross-validate -> add, delete, swap -> judge again
-
 Training records decide everything. Held-out records are judged once, at the end, by the models that were chosen.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, polish, refit, validate
+from fiohost.discover.choose import each
 from fiohost.discover.evidence import Dependence, dependences
-from fiohost.discover.floor import Floor, floors, replica, replica_models
+from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.screen import Screen, candidates, chance_share
-from fiohost.discover.verdict import Excess, at_floor, excesses
+from fiohost.discover.search import Candidate, Found, Progress, Search, Stage, Step, select
 from fiohost.errors import DataError
-from fiohost.identify.fit import Fit, fit, fit_from_scratch
 from fiohost.identify.intervals import Estimate, estimates
 from fiohost.identify.record import Record
-from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 
-MOST_EFFECTS = 4
-# Effects are refitted while their score is this share of the best one's, at least and at most so many of them; those
-# that
-# fit so much worse than the best are not cross-validated.
-WORTH_REFITTING = 0.1
-LEAST_REFITTED, REFITTED = 4, 10
-HOPELESS = 4.0
-# Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
-AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.01
-LEAST_CV_GAIN = 0.01
 # Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
 SHORT_HORIZON_S = 2.0
 SHORT_IS_BETTER = 0.97
 FAR_FROM_FLOOR = 2.0
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """How one effect did in one round: the share of the residual's power it removed, and why it was not taken."""
-
-    effect: str
-    score: float
-    rejected_because: str | None
-    validated: Validated | None = None
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A fitted model with its judgements on the training records.
-
-    ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
-    """
-
-    fit: Fit
-    replica_models: tuple[Model, ...]
-    judgements: tuple[Judgement, ...]
-    floors: tuple[Floor, ...]
-    excesses: tuple[Excess, ...]
-
-    @property
-    def at_floor(self) -> bool:
-        return at_floor(self.excesses)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One effect that was added, what spoke for it, and the names it cannot be told from."""
-
-    effect: str
-    stage: Stage
-    evidence: dict[str, object]
-    indistinguishable_from: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -111,191 +56,15 @@ class Diagnosis:
         return "explained" if self.steps else "no_missing_effect"
 
 
-def _judged(
-    fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator
-) -> Stage:
-    judgements = each(lambda r: judge(r, fitted.model), records)
-    models = replica_models(fitted, fitted_records, rng)
-    found = floors(records, fitted.model, judgements, models, rng)
-    names = [r.name for r in records]
-    return Stage(fitted, tuple(models), tuple(judgements), tuple(found), tuple(excesses(names, judgements, found)))
-
-
-class _Search:
-    """One diagnosis in progress over the training records."""
-
-    def __init__(
-        self,
-        train: Sequence[Record],
-        horizon_s: float | None,
-        rng: np.random.Generator,
-        library: Sequence[str] | None,
-        say: Progress,
-    ) -> None:
-        self.train = train
-        self.rng = rng
-        self.library = library
-        self.say = say
-        self.horizon_s = horizon_s
-        self.records, self.groups = folds(train, horizon_s)
-
-    def validate(self, fitted: Fit) -> Validated:
-        return validate(fitted, self.records, self.groups)
-
-    def stage(self, fitted: Fit) -> Stage:
-        return _judged(fitted, self.records, self.train, self.rng)
-
-    def _chance(self, screen: Screen, scores: list) -> float:  # type: ignore[type-arg]
-        def draw(rng: np.random.Generator) -> list[np.ndarray]:
-            model = screen.fit.model
-            return [
-                replica(r, model, s, rng) - (r.y - e)
-                for r, s, e in zip(self.records, screen.fit.starts, screen.fit.residuals, strict=True)
-            ]
-
-        sensors = all(r.quantum > 0 for r in self.records)
-        return chance_share(screen, scores, draw if sensors else None, self.rng)
-
-    def round(self, stage: Stage) -> tuple[list[Candidate], Candidate | None, dict[str, object]]:
-        """Score, refit and cross-validate every candidate around one stage; the winner, if one is earned."""
-        screen = Screen(stage.fit, self.records)
-        offered = candidates(stage.fit.model, self.records, self.library)
-        self.say(f"scoring {len(offered)} effects against the residual of {stage.fit.model.expression}")
-        scores = sorted(each(screen.score, offered), key=lambda s: s.share, reverse=True)
-        if not scores:
-            return [], None, {}
-        chance = self._chance(screen, scores)
-        worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
-        whole = self.horizon_s is None
-        worth = scores[: max(len(worth), LEAST_REFITTED) if whole else LEAST_REFITTED]
-        self.say(f"refitting the best {len(worth)}")
-        refits = each(lambda s: refit(stage.fit, s, self.records, search=whole), worth)
-        shares = [1.0 - f.cost / stage.fit.cost for f in refits]
-        base = self.validate(stage.fit)
-        rejected: list[str | None] = []
-        for score, found, share in zip(scores, refits, shares, strict=False):
-            why = objection(found, score.effect.name)
-            if share <= chance:
-                why = f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
-            rejected.append(why)
-        least = min(f.cost for f in refits)
-        for i, found in enumerate(refits):
-            if rejected[i] is None and found.cost > HOPELESS * least:
-                rejected[i] = f"leaves {np.sqrt(found.cost / least):.1f} times the error of the best"
-        passed = [i for i, why in enumerate(rejected) if why is None]
-        self.say(f"cross-validating {len(passed)} of them")
-        checked = dict(zip(passed, each(lambda i: self.validate(refits[i]), passed), strict=True))
-        found_all: list[Candidate] = []
-        for i, (score, share) in enumerate(zip(scores, shares, strict=False)):
-            why = rejected[i]
-            validated = checked.get(i)
-            if validated is not None:
-                gain = 1.0 - validated.cost / base.cost
-                better = float(np.mean(validated.fold_costs < base.fold_costs))
-                if gain < LEAST_CV_GAIN or better <= 0.5:
-                    why = f"changes the error on left-out training records by {-100 * gain:+.1f} % only"
-                    validated = None
-            found_all.append(Candidate(score.effect.name, share, why, validated))
-        found_all += [
-            Candidate(
-                s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted"
-            )
-            for s in scores[len(worth) :]
-        ]
-        able = [c for c in found_all if c.validated is not None]
-        if not able:
-            return found_all, None, {}
-        winner = self._winner(able)
-        found_all = [self._beside(c, winner) for c in found_all]
-        evidence: dict[str, object] = {
-            "residual_power_removed": winner.score,
-            "by_chance": chance,
-            "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost))
-            if winner.validated
-            else None,
-        }
-        return found_all, winner, evidence | {"base_cost": base.cost}
-
-    @staticmethod
-    def _beside(candidate: Candidate, winner: Candidate) -> Candidate:
-        """A candidate that could have been taken says how it did beside the one that was."""
-        if candidate is winner or candidate.validated is None or winner.validated is None:
-            return candidate
-        ratio = float(np.sqrt(candidate.validated.cost / winner.validated.cost))
-        return replace(candidate, rejected_because=f"leaves {ratio:.3g} times the left-out error of {winner.effect}")
-
-    @staticmethod
-    def _winner(able: Sequence[Candidate]) -> Candidate:
-        """The lowest left-out error decides; among those as good, the fit to all; among those as good, the simplest."""
-        checked = [(c, c.validated) for c in able if c.validated is not None]
-        least = min(v.cost for _, v in checked)
-        close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
-        fitted = min(v.fit.cost for _, v in close)
-        equal = [c for c, v in close if v.fit.cost <= AS_GOOD_FITTED * fitted]
-        return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
-
-    def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
-        """Names that this data cannot tell from the winner: exact equivalents always, and near ones by validation."""
-        assert winner.validated is not None
-        names = list(effect(winner.effect).equivalents)
-        for other in able:
-            if other.effect == winner.effect or other.validated is None:
-                continue
-            if indistinguishable(winner.validated, other.validated, base_cost):
-                names.append(other.effect)
-                names.extend(effect(other.effect).equivalents)
-        return tuple(dict.fromkeys(n for n in names if n != winner.effect))
-
-    def prune(self, fitted: Fit, declared: Model) -> Fit:
-        """Delete every added effect that left-out records do not miss once the others are there."""
-        for name in [e for e in fitted.model.effects[:-1] if e not in declared.effects]:
-            smaller = fit(fitted.model.without([name]), self.records, starts=fitted.starts)
-            whole, less = self.validate(fitted), self.validate(smaller)
-            if less.cost <= whole.cost * (1.0 + 0.5 * LEAST_CV_GAIN):
-                self.say(f"{name} is no longer needed")
-                fitted = smaller
-        return fitted
-
-
-@dataclass(frozen=True)
-class _Found:
-    """The outcome of one search: the declared stage first, the final one last."""
-
-    stages: tuple[Stage, ...]
-    steps: tuple[Step, ...]
-    offered: tuple[Candidate, ...]
-
-
 def _over_floor(stage: Stage) -> float:
     """Pooled window error over its floor."""
     error, floor = pool([j.errors for j in stage.judgements]), pool([f.errors for f in stage.floors])
     return error.window_rms / floor.window_rms if error and floor and floor.window_rms > 0 else np.inf
 
 
-def _window_rms(found: _Found) -> float:
+def _window_rms(found: Found) -> float:
     errors = pool([j.errors for j in found.stages[-1].judgements])
     return errors.window_rms if errors else 0.0
-
-
-def _search(search: _Search, model: Model, from_file: bool) -> _Found:
-    """Forward selection from a declared model, with deletion after every addition."""
-    stage = declared = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
-    steps: list[Step] = []
-    offered: list[Candidate] = []
-    while not stage.at_floor and len(steps) < MOST_EFFECTS:
-        offered, winner, evidence = search.round(stage)
-        if winner is None or winner.validated is None:
-            break
-        follows = dependences(search.train, stage.fit.model, stage.judgements, search.rng)
-        able = [c for c in offered if c.validated is not None]
-        base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
-        names = search.rivals(winner, able, base_cost)
-        search.say(f"adding {winner.effect}")
-        stage = search.stage(polish(search.prune(winner.validated.fit, model), search.records, search.rng))
-        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
-        steps = [s for s in steps if s.effect in stage.fit.model.effects]
-        steps.append(Step(winner.effect, stage, evidence, names))
-    return _Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
 
 
 def diagnose_records(
@@ -322,11 +91,11 @@ def diagnose_records(
     began = time.monotonic()
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
-    found = _search(_Search(train, None, rng, library, say), model, from_file)
+    found = select(Search(train, None, rng, library, say), model, from_file)
     horizon_s = None
     if not found.stages[-1].at_floor and _over_floor(found.stages[-1]) > FAR_FROM_FLOOR:
         say(f"whole runs stay unexplained: looking at pieces of {SHORT_HORIZON_S:g} s")
-        short = _search(_Search(train, SHORT_HORIZON_S, rng, library, say), model, from_file)
+        short = select(Search(train, SHORT_HORIZON_S, rng, library, say), model, from_file)
         if _window_rms(short) < SHORT_IS_BETTER * _window_rms(found):
             found, horizon_s = short, SHORT_HORIZON_S
     declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.stages[-1]

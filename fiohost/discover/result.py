@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 from fiohost import __version__
-from fiohost.discover.diagnose import Diagnosis, Stage, parameters, pooled
+from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
 from fiohost.discover.metrics import Errors, pool
+from fiohost.discover.search import Stage
 
 
 def _errors(errors: Errors | None) -> dict[str, Any] | None:
