@@ -14,6 +14,7 @@ import json
 import secrets
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -119,61 +120,74 @@ def wilson(hits: int, total: int) -> str:
     return f"{100 * p:.0f} % ({hits}/{total}; {100 * max(middle - half, 0):.0f}..{100 * min(middle + half, 1):.0f})"
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+Row = dict[str, Any]
+
+
+def right(row: Row) -> bool:
+    """The first name is the truth, or in its class."""
+    return bool(row["named"]) and any(same(row["named"][0], t) for t in row["truth"])
+
+
+def in_set(row: Row) -> bool:
+    """The truth is among the names and their rivals."""
+    said = [n for name, rivals in zip(row["named"], row["rivals"], strict=True) for n in (name, *rivals)]
+    return any(same(n, row["truth"][0]) for n in said)
+
+
+def exact(row: Row) -> bool:
+    """Both effects of a pair and nothing else."""
+    named = row["named"]
+    return len(named) == 2 and all(any(same(n, t) for n in named) for t in row["truth"])
+
+
+def share(rows: list[Row], test: Callable[[Row], bool]) -> str:
+    return wilson(sum(map(test, rows)), len(rows))
+
+
+def table(rows: list[Row]) -> str:
     """The rates as Markdown, misses by name."""
-    lines = []
-
-    def right(row: dict[str, Any]) -> bool:
-        return bool(row["named"]) and same(row["named"][0], row["truth"][0])
-
-    def in_set(row: dict[str, Any]) -> bool:
-        return any(same(n, row["truth"][0]) for i, s in enumerate(row["named"]) for n in (s, *row["rivals"][i]))
-
     single = [r for r in rows if len(r["truth"]) == 1 and not r["left_out"]]
-    for label, low, high in (
-        ("clear (3 times the floor or more)", 3.0, 1e9),
-        ("faint (1.2 to 3)", 1.2, 3.0),
-        ("hidden (below 1.2)", 0.0, 1.2),
-    ):
-        group = [r for r in single if low <= r["clarity"] < high]
-        lines.append(
-            f"- {label}: first name right {wilson(sum(map(right, group)), len(group))}, "
-            f"in the named set {wilson(sum(map(in_set, group)), len(group))}, "
-            f"explained {wilson(sum(r['verdict'] == 'explained' for r in group), len(group))}, "
-            f"further effects {wilson(sum(len(r['named']) > 1 for r in group), len(group))}"
-        )
     none = [r for r in rows if not r["truth"]]
-    lines.append(
-        f"- effect-free: any effect claimed {wilson(sum(bool(r['named']) for r in none), len(none))}, "
-        f"called unexplained {wilson(sum(r['verdict'] == 'unexplained' for r in none), len(none))}"
-    )
     outside = [r for r in rows if r["left_out"]]
-    lines.append(
-        f"- outside the library, explained away: {wilson(sum(r['verdict'] == 'explained' for r in outside), len(outside))}"
-    )
     pairs = [r for r in rows if len(r["truth"]) == 2]
-    exact = sum(len(r["named"]) == 2 and all(any(same(n, t) for n in r["named"]) for t in r["truth"]) for r in pairs)
-    first = sum(bool(r["named"]) and any(same(r["named"][0], t) for t in r["truth"]) for r in pairs)
-    lines.append(f"- pairs: exact set {wilson(exact, len(pairs))}, first pick right {wilson(first, len(pairs))}")
-    good = [r for r in single if right(r) and r["clarity"] >= 3.0]
-    ratios = sorted(r["confirm"]["after"] / r["confirm"]["floor"] for r in good)
+    lines = []
+    for label, low, high in (("clear, 3 times the floor or more", 3.0, 1e9), ("faint, 1.2 to 3", 1.2, 3.0)):
+        group = [r for r in single if low <= r["clarity"] < high]
+        lines += [
+            f"- {label}: first name right {share(group, right)}, in the named set {share(group, in_set)}",
+            f"  explained {share(group, lambda r: r['verdict'] == 'explained')}, "
+            f"more than one effect named {share(group, lambda r: len(r['named']) > 1)}",
+        ]
+    lines += [
+        f"- effect-free: any effect claimed {share(none, lambda r: bool(r['named']))}, "
+        f"called unexplained {share(none, lambda r: r['verdict'] == 'unexplained')}",
+        f"- outside the library, explained away {share(outside, lambda r: r['verdict'] == 'explained')}",
+        f"- pairs: exact set {share(pairs, exact)}, first pick right {share(pairs, right)}",
+    ]
+    ratios = sorted(r["confirm"]["after"] / r["confirm"]["floor"] for r in single if right(r) and r["clarity"] >= 3.0)
     if ratios:
-        lines.append(
-            f"- fresh record, windowed error over floor: median {ratios[len(ratios) // 2]:.3f}, worst {ratios[-1]:.2f}"
-        )
+        middle = ratios[len(ratios) // 2]
+        lines.append(f"- fresh record, windowed error over floor: median {middle:.3f}, worst {ratios[-1]:.2f}")
     lines.append(f"- seconds a diagnosis: median {sorted(r['seconds'] for r in rows)[len(rows) // 2]:.1f}")
-    lines.append("")
-    for r in rows:
-        wrong = (len(r["truth"]) == 1 and not r["left_out"] and not right(r) and r["clarity"] >= 1.2) or (
-            not r["truth"] and r["named"]
-        )
-        if wrong or (r["verdict"] == "unexplained" and not r["left_out"]):
-            truth = "+".join(r["truth"]) or "nothing"
-            named = "+".join(r["named"]) or "nothing"
-            lines.append(
-                f"  - {truth} (seed {r['seed']}, {r['clarity']:.1f} times the floor): {r['verdict']}, {named}; fresh {r['confirm']['before']:.3f} -> {r['confirm']['after']:.3f}, floor {r['confirm']['floor']:.3f}"
-            )
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *map(story, filter(missed, rows))])
+
+
+def missed(row: Row) -> bool:
+    if row["left_out"]:
+        return row["verdict"] == "explained"
+    if not row["truth"]:
+        return row["verdict"] != "no_missing_effect"
+    return row["clarity"] >= 1.2 and (not right(row) or row["verdict"] != "explained")
+
+
+def story(row: Row) -> str:
+    """One miss in a line."""
+    truth, named = ("+".join(row[key]) or "nothing" for key in ("truth", "named"))
+    fresh = row["confirm"]
+    return (
+        f"  - {truth}, seed {row['seed']}, {row['clarity']:.1f} times the floor: {row['verdict']}, {named}; "
+        f"fresh record {fresh['before']:.3f} to {fresh['after']:.3f} deg, floor {fresh['floor']:.3f}"
+    )
 
 
 def main() -> None:

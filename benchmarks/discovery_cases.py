@@ -90,7 +90,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
         "phase_rad": _turn(r),
     },
     "position_dependent_friction": lambda r, m: {
-        "ratio": rng_ratio(r),
+        "ratio": r.uniform(0.1, 0.6),
         "order": float(r.choice((1, 1, 2, 4))),
         "phase_rad": _turn(r),
     },
@@ -127,10 +127,6 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     },
     "hard_stop": lambda r, m: {"angle_rad": sign(r) * math.radians(r.uniform(200.0, 1500.0))},
 }
-
-
-def rng_ratio(rng: random.Random) -> float:
-    return rng.uniform(0.1, 0.6)
 
 
 def _asymmetric(rng: random.Random, m: Values) -> Values:
