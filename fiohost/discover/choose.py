@@ -209,7 +209,8 @@ def objection(found: Fit, name: str) -> str | None:
         if not parameter.is_smooth or key not in known:
             continue
         value = known[key]
-        if value.at_bound:
+        if value.at_bound and (value.value != 0.0 or parameter.neutral is not None):
+            # Nothing in nature is below zero; any other bound is one of the search.
             return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
         if parameter.neutral is None or parameter.ragged:
             continue  # a ragged parameter has no width by gradients: the fit and the left-out records judge it

@@ -28,7 +28,7 @@ WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 HOPELESS = 4.0
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
-AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.01
+AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
 
 Progress = Callable[[str], None]
@@ -166,7 +166,7 @@ class Search:
         able = [c for c in found_all if c.validated is not None]
         if not able:
             return found_all, None, {}
-        winner = self._winner(able)
+        winner = self._winner(self._finalists(able))
         found_all = [self._beside(c, winner) for c in found_all]
         evidence: dict[str, object] = {
             "residual_power_removed": winner.score,
@@ -180,19 +180,24 @@ class Search:
     @staticmethod
     def _beside(candidate: Candidate, winner: Candidate) -> Candidate:
         """A candidate that could have been taken says how it did beside the one that was."""
-        if candidate is winner or candidate.validated is None or winner.validated is None:
+        if candidate.effect == winner.effect or candidate.validated is None or winner.validated is None:
             return candidate
         ratio = float(np.sqrt(candidate.validated.cost / winner.validated.cost))
         return replace(candidate, rejected_because=f"leaves {ratio:.3g} times the left-out error of {winner.effect}")
 
-    @staticmethod
-    def _winner(able: Sequence[Candidate]) -> Candidate:
-        """The lowest left-out error decides; among those as good, the fit to all; among those as good, the simplest."""
+    def _finalists(self, able: Sequence[Candidate]) -> list[tuple[Candidate, Validated]]:
+        """Those with the lowest left-out error or as good, their fits polished: a ledge must not decide."""
         checked = [(c, c.validated) for c in able if c.validated is not None]
         least = min(v.cost for _, v in checked)
         close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
-        fitted = min(v.fit.cost for _, v in close)
-        equal = [c for c, v in close if v.fit.cost <= AS_GOOD_FITTED * fitted]
+        better = [replace(v, fit=polish(v.fit, self.records, self.rng)) for _, v in close]
+        return [(replace(c, validated=v), v) for (c, _), v in zip(close, better, strict=True)]
+
+    @staticmethod
+    def _winner(finalists: Sequence[tuple[Candidate, Validated]]) -> Candidate:
+        """The best fit to all training records decides; among those as good, the simplest, then the commonest."""
+        fitted = min(v.fit.cost for _, v in finalists)
+        equal = [c for c, v in finalists if v.fit.cost <= AS_GOOD_FITTED * fitted]
         return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
 
     def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
@@ -241,7 +246,7 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
         names = search.rivals(winner, able, base_cost)
         search.say(f"adding {winner.effect}")
-        stage = search.stage(polish(search.prune(winner.validated.fit, model), search.records, search.rng))
+        stage = search.stage(search.prune(winner.validated.fit, model))
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         steps.append(Step(winner.effect, stage, evidence, names))
