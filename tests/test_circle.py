@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -184,6 +185,7 @@ def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite() -> Non
 
 def test_without_a_seed_a_board_is_drawn_and_its_seal_kept(short_suite: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fiohost.bench.connect.draw_seed", lambda: 3_000_000_002)
+    monkeypatch.setattr(close, "diagnose", partial(diagnose, library=["constant_load"]))
     result = fiohost("close-loop", "--json", "a.json")
     assert result.exit_code == 0, result.output
     found = json.loads(Path("a.json").read_text())
@@ -227,8 +229,8 @@ def test_what_cannot_be_is_refused_before_anything_runs(
 
 def test_the_diagnosis_is_made_of_the_log_files_alone(tmp_path: Path) -> None:
     with connect("sim:sealed", seed=3) as bench:
-        circle = close.close_loop(bench, tmp_path, experiments=SUITE)
-    again = diagnose([tmp_path / name for name in log_names(SUITE)], (), DECLARED)
+        circle = close.close_loop(bench, tmp_path, experiments=SUITE[:2])
+    again = diagnose([tmp_path / name for name in log_names(SUITE[:2])], (), DECLARED)
     assert again.final.fit.model == circle.diagnosis.final.fit.model
     assert [c.score for c in again.candidates] == [c.score for c in circle.diagnosis.candidates]
 
