@@ -24,7 +24,7 @@ from fiohost.motor.model import Model
 T = TypeVar("T")
 R = TypeVar("R")
 
-STARTS = 3
+STARTS = 4
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
 COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)

@@ -20,7 +20,7 @@ from fiohost.motor.model import Model
 
 BLOCKS_A_RECORD = 10
 FLIPS = 400
-BEST_TRIALS = 3
+BEST_TRIALS = 4
 
 Trial = dict[str, Value]
 
@@ -130,12 +130,21 @@ class Screen:
             found = [self._single(effect, t, one_sided) for t in trials]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         starts: list[Trial] = []
-        for i in order[:BEST_TRIALS]:
+        for i in _varied(effect, trials, order)[:BEST_TRIALS]:
             starts.append(found[i].trial)
             if not effect.linear_pairs and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order))
+
+
+def _varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
+    """The order of trials with the best of each choice first: no choice is lost because another scores higher."""
+    if effect.linear_pairs:
+        return list(order)
+    kinds = [tuple(trials[i][p.name] for p in effect.parameters if p.is_choice) for i in range(len(trials))]
+    first = [i for n, i in enumerate(order) if kinds[i] not in [kinds[j] for j in order[:n]]]
+    return [*first, *(i for i in order if i not in first)]
 
 
 def _scaled(effect: Effect, trial: Trial, factor: float) -> Trial:

@@ -13,7 +13,7 @@ import numpy as np
 from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, polish, refit, validate
 from fiohost.discover.evidence import dependences
 from fiohost.discover.floor import Floor, floors, replica, replica_models
-from fiohost.discover.metrics import Judgement, judge
+from fiohost.discover.metrics import Judgement, judge, pool
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
 from fiohost.discover.verdict import Excess, at_floor, excesses
 from fiohost.identify.fit import Fit, fit, fit_from_scratch
@@ -30,6 +30,7 @@ HOPELESS = 4.0
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
+FINISHED = 1.1
 
 Progress = Callable[[str], None]
 
@@ -117,10 +118,12 @@ class Search:
         sensors = all(r.quantum > 0 for r in self.records)
         return chance_share(screen, scores, draw if sensors else None, self.rng)
 
-    def round(self, stage: Stage) -> tuple[list[Candidate], Candidate | None, dict[str, object]]:
+    def round(self, stage: Stage, first: bool) -> tuple[list[Candidate], Candidate | None, dict[str, object]]:
         """Score, refit and cross-validate every candidate around one stage; the winner, if one is earned."""
         screen = Screen(stage.fit, self.records)
         offered = candidates(stage.fit.model, self.records, self.library)
+        if not first:  # the little that another effect leaves can always be blamed on an event
+            offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {stage.fit.model.expression}")
         scores = sorted(each(screen.score, offered), key=lambda s: s.share, reverse=True)
         if not scores:
@@ -133,11 +136,16 @@ class Search:
         refits = each(lambda s: refit(stage.fit, s, self.records, search=whole), worth)
         shares = [1.0 - f.cost / stage.fit.cost for f in refits]
         base = self.validate(stage.fit)
+        pooled = pool([f.errors for f in stage.floors])
+        floor = pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else np.inf
         rejected: list[str | None] = []
         for score, found, share in zip(scores, refits, shares, strict=False):
             why = objection(found, score.effect.name)
             if share <= chance:
                 why = f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
+            left = float(np.sqrt(found.cost / found.samples)) / floor
+            if score.effect.once and left > FINISHED:
+                why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
             rejected.append(why)
         least = min(f.cost for f in refits)
         for i, found in enumerate(refits):
@@ -238,7 +246,7 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
     steps: list[Step] = []
     offered: list[Candidate] = []
     while not stage.at_floor and len(steps) < MOST_EFFECTS:
-        offered, winner, evidence = search.round(stage)
+        offered, winner, evidence = search.round(stage, first=not steps)
         if winner is None or winner.validated is None:
             break
         follows = dependences(search.train, stage.fit.model, stage.judgements, search.rng)

@@ -96,8 +96,9 @@ class Effect:
 
     ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
     data cannot tell apart; all their names are reported whatever it is. ``linear_pairs`` says that consecutive trials
-    are a sine and a cosine of one effect. ``trials_for`` makes trials that depend on what the data cover.
-    ``substep_s`` is the longest step over which the effect may be frozen.
+    are a sine and a cosine of one effect. ``once`` marks an event that can be had only once, so that left-out records
+    cannot confirm it: it is believed only where it leaves nothing. ``trials_for`` makes trials that depend on what
+    the data cover. ``substep_s`` is the longest step over which the effect may be frozen.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Effect:
     trials: tuple[Mapping[str, Value], ...] = ()
     trials_for: Callable[[Span], tuple[Mapping[str, Value], ...]] | None = field(default=None, repr=False)
     linear_pairs: bool = False
+    once: bool = False
     command: Callable[..., float] | None = field(default=None, repr=False)
     current: Callable[..., float] | None = field(default=None, repr=False)
     torque: Callable[..., float] | None = field(default=None, repr=False)

@@ -27,6 +27,7 @@ EFFECTS = (
             Parameter("ratio", "", 1.3, 0.02, 50.0, neutral=1.0, step=1e-4),
         ),
         trials_for=trials_for,
+        once=True,
         source="A load picked up or dropped; change detection, Basseville and Nikiforov 1993",
     ),
 )
