@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 
-from firmware_model.bridge import drive
+from firmware_model.bridge import STANDBY, drive
 from firmware_model.motor import Motor
 from firmware_model.plants import Plant
 from firmware_model.report import Command, parse, telemetry
+from firmware_model.thermal import ThermalShutdown
 
 STEP_S = 0.005
-_START = Command(compare=0, c3=0, c4=0)
+_OFF = Command(compare=0, c3=0, c4=0)
+_BRAKE = Command(compare=0, c3=1, c4=1)
 
 
 class Board:
@@ -26,20 +28,44 @@ class Board:
         within_gap = rng.random() if rng else 0.5
         self._motor = Motor(plant, within_count=within_count, within_gap=within_gap)
         self._counts_per_rev = plant.counts_per_rev
-        self._command = _START
-        self._mode, self._duty_pct = drive(_START)
+        self._pull_ups = plant.pull_ups
+        self._watchdog_s = plant.watchdog["timeout_s"] if plant.watchdog else None
+        self._thermal = ThermalShutdown(plant.thermal_shutdown) if plant.thermal_shutdown else None
+        self._command = _OFF
+        self._silent_s = 0.0
+        self.step_s = STEP_S
+        self.powered = True  # the motor's supply; the board lives on its own
 
-    def step(self, report: bytes | None) -> bytes:
-        """One task step: latch the newest report (None or an invalid one: outputs hold), sample, send, run for 5 ms.
+    def step(self, report: bytes | None, *, span_s: float = STEP_S) -> bytes:
+        """One task step: latch the newest report (None or an invalid one: outputs hold), sample, send, run on.
 
-        Returns 64 bytes of telemetry as sampled at the start of the step. The latched command acts until the next step.
+        Returns 64 bytes of telemetry as sampled at the start of the step. The latched command acts until the next
+        step, which comes after ``span_s``.
         """
-        if report is not None:
-            command = parse(report)
-            if command is not None and command != self._command:
-                self._command = command
-                self._mode, self._duty_pct = drive(command)
+        command = parse(report) if report is not None else None
+        if command is not None:
+            self._command, self._silent_s = command, 0.0
         motor = self._motor
         sent = telemetry(motor.direction, motor.count % self._counts_per_rev)
-        motor.run(self._mode, self._duty_pct, STEP_S)
+        mode, duty_pct = self._outputs()
+        motor.run(mode, duty_pct, span_s)
+        self._silent_s += span_s
+        if self._thermal is not None:
+            self._thermal.pass_time(motor.current_A, span_s)
         return sent
+
+    def reset(self) -> None:
+        """What the controller's reset does: outputs off, encoder timer at 0 counting up. The motor runs on."""
+        self._command, self._silent_s = _OFF, 0.0
+        self._motor.reset_counter()
+
+    def _outputs(self) -> tuple[int, float]:
+        """Mode of the bridge and signed duty, from the latched command and all that stands between it and the motor."""
+        if not self.powered or (self._thermal is not None and self._thermal.open):
+            return STANDBY, 0.0
+        command = self._command
+        if self._watchdog_s is not None and self._silent_s >= self._watchdog_s - 1e-9:
+            command = _BRAKE
+        if not self._pull_ups:  # the open-drain pins can pull down only
+            command = command._replace(c3=0, c4=0)
+        return drive(command)

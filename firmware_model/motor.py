@@ -142,6 +142,10 @@ class Motor:
         """Torque on the output shaft from outside, positive forward, from now on."""
         self._p[C.EXTERNAL] = torque_Nm
 
+    def reset_counter(self) -> None:
+        """The encoder's timer starts anew, wherever the shaft is."""
+        self._m[COUNT] = self._m[DIRECTION] = 0
+
     @property
     def events(self) -> tuple[int, int]:
         """Events met and steps tried so far."""

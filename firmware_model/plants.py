@@ -1,4 +1,7 @@
-"""A plant: motor, bridge and load as a set of constants that belongs together, with the effects it has."""
+"""A plant: motor, bridge and load as a set of constants that belongs together, with the effects it has.
+
+Its file also holds what a board around it may have: missing pull-ups, a watchdog, a thermal shutdown, faults.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from firmware_model import faults, thermal
 from firmware_model.effect import Parameter
 from firmware_model.errors import FirmwareModelError
 from firmware_model.reading import number, parameters, unknown
@@ -26,7 +30,12 @@ MOTOR = (
     Parameter("coulomb_Nm", default=0.0, lower=0.0, upper=1e3),
     Parameter("supply_V", lower=0.1, upper=1e3),
 )
-KEYS = (*(q.key for q in MOTOR), "name", "source", "counts_per_rev", "effects", "schema")
+OPTIONS = {  # tables of the board: each is there or not
+    "watchdog": (Parameter("timeout_s", default=0.1, lower=0.005, upper=60.0),),
+    "thermal_shutdown": thermal.PARAMETERS,
+    "faults": faults.PARAMETERS,
+}
+KEYS = (*(q.key for q in MOTOR), *OPTIONS, "name", "source", "counts_per_rev", "pull_ups", "effects", "schema")
 SCHEMA = "firmware_model.plant/1"
 
 
@@ -35,7 +44,7 @@ class Plant:
     """Constants of a motor referred to its output shaft, SI units; ``effects`` maps a name to its SI parameters.
 
     ``supply_V`` is the winding's voltage at full duty. ``J_kgm2`` is all inertia, loads behind a gap or spring
-    included.
+    included. The options of the board (None: it has none) map the keys of OPTIONS to their values.
     """
 
     name: str
@@ -50,6 +59,10 @@ class Plant:
     counts_per_rev: int = 720
     source: str = ""
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    pull_ups: bool = True
+    watchdog: Mapping[str, Any] | None = None
+    thermal_shutdown: Mapping[str, Any] | None = None
+    faults: Mapping[str, Any] | None = None
 
     def percent_of_torque(self, torque_Nm: float) -> float:
         """The duty in percent whose stall torque balances ``torque_Nm``: 100 T R / (Kt V)."""
@@ -103,6 +116,16 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
     counts = number(table.get("counts_per_rev", 720), "counts_per_rev", where, 4, 65536)
     if counts != int(counts):
         raise FirmwareModelError(f"{where}: counts_per_rev must be a whole number, not {counts}")
+    pull_ups = table.get("pull_ups", True)
+    if not isinstance(pull_ups, bool):
+        raise FirmwareModelError(f"{where}: pull_ups must be true or false, not {pull_ups!r}")
+    options: dict[str, Any] = {
+        key: parameters(_table(table[key], key, where), wanted, f"{where}, [{key}]")
+        for key, wanted in OPTIONS.items()
+        if key in table
+    }
+    if "faults" in options:
+        faults.check(options["faults"], f"{where}, [faults]")
     given = table.get("effects", {})
     if not isinstance(given, Mapping):
         raise FirmwareModelError(f"{where}: effects must be tables [effects.NAME], not {given!r}")
@@ -110,14 +133,15 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
     for effect_name, values in given.items():
         if effect_name not in effects():
             raise unknown(effect_name, effects(), f"{where}, effects")
-        if not isinstance(values, Mapping):
-            raise FirmwareModelError(f"{where}: [effects.{effect_name}] must be a table, not {values!r}")
+        values = _table(values, f"effects.{effect_name}", where)
         chosen[effect_name] = parameters(values, effects()[effect_name].parameters, f"{where}, [effects.{effect_name}]")
     plant = Plant(
         name=str(table.get("name", name)),
         source=str(table.get("source", "")),
         counts_per_rev=int(counts),
         effects=chosen,
+        pull_ups=pull_ups,
+        **options,
         **motor,
     )
     for effect_name, checked in chosen.items():
@@ -128,6 +152,12 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
                 f"inertia J_kgm2 = {plant.J_kgm2:g} of which it is a part"
             )
     return plant
+
+
+def _table(value: Any, name: str, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise FirmwareModelError(f"{where}: [{name}] must be a table, not {value!r}")
+    return value
 
 
 def _folder() -> Path:
