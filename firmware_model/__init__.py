@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from firmware_model.board import Board
     from firmware_model.errors import FirmwareModelError
+    from firmware_model.faults import FaultyBoard
     from firmware_model.instruments import Instruments
     from firmware_model.plants import Plant, load_plant, plant_names
     from firmware_model.sealed import draw, reveal
 
 _WHERE = {
     "Board": "board",
+    "FaultyBoard": "faults",
     "FirmwareModelError": "errors",
     "Instruments": "instruments",
     "Plant": "plants",
@@ -27,7 +29,17 @@ _WHERE = {
     "reveal": "sealed",
 }
 
-__all__ = ["Board", "FirmwareModelError", "Instruments", "Plant", "draw", "load_plant", "plant_names", "reveal"]
+__all__ = [
+    "Board",
+    "FaultyBoard",
+    "FirmwareModelError",
+    "Instruments",
+    "Plant",
+    "draw",
+    "load_plant",
+    "plant_names",
+    "reveal",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,27 +1,28 @@
-"""A sealed bench: plant and effect drawn by a seed, told to nobody until it is opened.
+"""A sealed bench: plant, effects and, on request, faults drawn by a seed, told to nobody until it is opened.
 
-The seed is the only link between the two functions. Ranges are wide and physically sensible: gain 6 to 16 deg/s per
-percent, time constant 40 to 150 ms, dry friction 1 to 6 percent of full duty, no inductance, and exactly one effect.
+The seed is the only link between the functions. Ranges are wide and physically sensible: gain 6 to 16 deg/s per
+percent, time constant 40 to 150 ms, dry friction 1 to 6 percent of full duty, and no effect, one or two of those that
+half a minute of motion can show, from faint to plain.
 """
 
 from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+from firmware_model.faults import PARAMETERS as FAULT_KEYS
 from firmware_model.plants import Plant, make_plant
 from firmware_model.registry import effects
 
 SUPPLY_V = 9.0
-EFFECTS = (
-    "backlash",
-    "constant_load",
-    "gravity_load",
-    "input_deadband",
-    "transport_delay",
-    "voltage_saturation",
-)
+SHARES = {0: 15, 1: 60, 2: 25}  # how many benches of a hundred have so many effects
+# The same thing to an encoder: a bench with both would be a bench with one of them.
+ALIKE = ({"asymmetric_coulomb_friction", "constant_load"}, {"gravity_load", "cogging_torque"})
+
+Values = dict[str, Any]
 
 
 def _between(rng: random.Random, low: float, high: float) -> float:
@@ -48,19 +49,20 @@ def _motor(rng: random.Random) -> dict[str, Any]:
     }
 
 
-def _effect(rng: random.Random, name: str, motor: dict[str, Any]) -> dict[str, Any]:
-    """SI parameters of one effect at a size that shows."""
-    stall_Nm = motor["Kt_Nm_per_A"] * SUPPLY_V / motor["R_ohm"]
-    if name == "input_deadband":
-        return {"level_pct": _between(rng, 1.5, 12.0)}
-    if name == "voltage_saturation":
-        return {"limit_pct": rng.uniform(35.0, 85.0)}
-    if name == "transport_delay":
-        return {"delay_s": _between(rng, 0.004, 0.045)}
-    if name == "constant_load":
-        return {"torque_Nm": rng.choice((-1.0, 1.0)) * _between(rng, 0.005, 0.06) * stall_Nm}
-    if name == "gravity_load":
-        return {"torque_Nm": _between(rng, 0.01, 0.08) * stall_Nm, "phase_rad": rng.uniform(0.0, 2.0 * math.pi)}
+def _sign(rng: random.Random) -> float:
+    return rng.choice((-1.0, 1.0))
+
+
+def _turn(rng: random.Random) -> float:
+    return rng.uniform(0.0, 2.0 * math.pi)
+
+
+def _stall(motor: Values) -> float:
+    """Torque at rest on full duty, N m."""
+    return float(motor["Kt_Nm_per_A"] * SUPPLY_V / motor["R_ohm"])
+
+
+def _backlash(rng: random.Random, motor: Values) -> Values:
     if rng.random() < 0.5:
         return {"gap_rad": math.radians(_between(rng, 1.0, 6.0)), "side": "encoder_after_gap"}
     return {
@@ -70,17 +72,103 @@ def _effect(rng: random.Random, name: str, motor: dict[str, Any]) -> dict[str, A
     }
 
 
-def draw(seed: int) -> Plant:
-    """The sealed plant of this seed. It carries no name that tells anything."""
+def _one_sided(rng: random.Random, motor: Values) -> Values:
+    more = _between(rng, 0.1, 1.0) * motor["coulomb_Nm"]
+    return {"forward_Nm": more, "reverse_Nm": 0.0} if rng.random() < 0.5 else {"forward_Nm": 0.0, "reverse_Nm": more}
+
+
+def _edges(rng: random.Random, motor: Values) -> Values:
+    wide = _between(rng, 1.0, 10.0)
+    narrow = wide * rng.uniform(0.2, 0.7)
+    plus, minus = (wide, narrow) if rng.random() < 0.5 else (narrow, wide)
+    return {"u_plus_pct": plus, "u_minus_pct": -minus}
+
+
+# SI parameters of each effect at a drawn size.
+EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
+    "armature_inductance": lambda r, m: {"inductance_H": _between(r, 0.002, 0.012) * m["R_ohm"]},
+    "asymmetric_coulomb_friction": _one_sided,
+    "asymmetric_deadband": _edges,
+    "backlash": _backlash,
+    "bridge_voltage_drop": lambda r, m: {"drop_V": _between(r, 0.01, 0.06) * SUPPLY_V},
+    "cogging_torque": lambda r, m: {
+        "order": float(r.choice((2, 3, 4, 6, 8, 12, 15, 20))),
+        "torque_Nm": _between(r, 0.01, 0.06) * _stall(m),
+        "phase_rad": _turn(r),
+    },
+    "constant_load": lambda r, m: {"torque_Nm": _sign(r) * _between(r, 0.003, 0.06) * _stall(m)},
+    "current_limit": lambda r, m: {"limit_A": r.uniform(0.3, 0.9) * SUPPLY_V / m["R_ohm"]},
+    "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + _sign(r) * _between(r, 0.005, 0.2)},
+    "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * _between(r, 0.01, 0.3)},
+    "encoder_eccentricity": lambda r, m: {
+        "level_rad": math.radians(_between(r, 0.3, 2.0)),
+        "order": float(r.choice((1, 1, 2, 4))),
+        "phase_rad": _turn(r),
+    },
+    "gravity_load": lambda r, m: {"torque_Nm": _between(r, 0.004, 0.08) * _stall(m), "phase_rad": _turn(r)},
+    "input_deadband": lambda r, m: {"level_pct": _between(r, 0.7, 12.0)},
+    "load_dependent_friction": lambda r, m: {"ratio": _between(r, 0.03, 0.3)},
+    "position_dependent_friction": lambda r, m: {
+        "ratio": r.uniform(0.15, 0.6),
+        "order": float(r.choice((1, 1, 2, 4))),
+        "phase_rad": _turn(r),
+    },
+    "quadratic_drag": lambda r, m: {
+        "drag_Nms2": _between(r, 0.01, 0.08) * _stall(m) / math.radians(1000.0) ** 2,
+    },
+    "static_friction": lambda r, m: {"extra_Nm": _between(r, 0.01, 0.05) * _stall(m)},
+    "stribeck_friction": lambda r, m: {
+        "extra_Nm": _between(r, 0.01, 0.05) * _stall(m),
+        "stribeck_speed_rad_s": _between(r, 0.3, 4.0),
+    },
+    "supply_sag": lambda r, m: {"source_ohm": _between(r, 0.04, 0.4) * m["R_ohm"]},
+    "transport_delay": lambda r, m: {"delay_s": _between(r, 0.002, 0.045)},
+    "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(35.0, 85.0)},
+}
+
+# What a line and a clock may do, each of it mild enough for a run to go on.
+FAULTS: dict[str, Callable[[random.Random], Values]] = {
+    "dropped": lambda r: {"report_drop_ratio": _between(r, 0.001, 0.03)},
+    "doubled": lambda r: {"report_double_ratio": _between(r, 0.001, 0.05)},
+    "late": lambda r: {"report_late_ratio": _between(r, 0.001, 0.03), "report_late_s": r.uniform(0.004, 0.02)},
+    "cut": lambda r: {"report_cut_ratio": _between(r, 0.001, 0.02)},
+    "jitter": lambda r: {"tick_jitter_s": _between(r, 1e-4, 1e-3)},
+    "slow_ticks": lambda r: {"tick_late_ratio": _between(r, 0.001, 0.02), "tick_late_s": r.uniform(0.001, 0.008)},
+    "clock": lambda r: {"clock_ppm": _sign(r) * _between(r, 50.0, 20000.0)},
+}
+
+
+def _names(rng: random.Random) -> tuple[str, ...]:
+    """Effects of one bench: none, one, or two that are not alike."""
+    (count,) = rng.choices(tuple(SHARES), tuple(SHARES.values()))
+    while True:
+        names = tuple(rng.sample(sorted(EFFECTS), count))
+        if not any(set(names) <= alike for alike in ALIKE) or count < 2:
+            return names
+
+
+def draw(seed: int, *, faulty: bool = False) -> Plant:
+    """The sealed plant of this seed, with faults of line and clock where asked for. Its name tells nothing."""
     rng = random.Random(f"sealed {seed}")
     motor = _motor(rng)
-    name = rng.choice(EFFECTS)
-    return make_plant({**motor, "effects": {name: _effect(rng, name, motor)}}, "sealed")
+    plant = make_plant({**motor, "effects": {name: EFFECTS[name](rng, motor) for name in _names(rng)}}, "sealed")
+    if not faulty:
+        return plant
+    rng = random.Random(f"sealed faults {seed}")
+    faults: Values = {}
+    for kind in rng.sample(sorted(FAULTS), rng.randint(1, 3)):
+        faults |= FAULTS[kind](rng)
+    return replace(plant, faults=make_plant({**motor, "faults": faults}, "sealed").faults)
 
 
 def reveal(seed: int) -> dict[str, Any]:
-    """The truth behind a seed: sentences, SI parameters and the same in percent of duty, degrees and seconds."""
+    """The truth behind a seed: sentences, SI parameters and the same in percent of duty, degrees and seconds.
+
+    ``faults`` are those of the same bench drawn with faults.
+    """
     plant = draw(seed)
+    drawn = draw(seed, faulty=True).faults or {}
+    usual = {q.key: q.choices[0] if q.choices else q.default for q in FAULT_KEYS}
     reduced = plant.reduced()
     linear = reduced["linear"]
     sentences = [
@@ -107,4 +195,5 @@ def reveal(seed: int) -> dict[str, Any]:
             "effects": {name: dict(values) for name, values in plant.effects.items()},
         },
         "reduced": reduced,
+        "faults": {key: value for key, value in drawn.items() if value != usual[key]},
     }

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import WatchedTransport, bench_on, rows_of
+from boards import Receive, WatchedTransport, bench_on, rows_of
 
 from fiohost.bench.connect import connect
 from fiohost.bench.experiment import ControlSettings, Experiment
@@ -191,16 +191,16 @@ def test_a_controller_that_asks_for_nonsense_is_stopped(duty_pct: float, tmp_pat
 
 
 def _pos_beyond_the_turn(k: int, report: bytes) -> bytes:
-    return struct.pack("<BH", 0, 40_000) + report[3:] if k == 60 else report
+    return struct.pack("<BH", 0, 40_000) + report[3:] if k >= 60 else report
 
 
 def _short_report(k: int, report: bytes) -> bytes:
-    return report[:17] if k == 60 else report
+    return report[:17] if k >= 60 else report
 
 
 def _silence(k: int, report: bytes) -> bytes:
-    if k == 60:
-        raise TelemetryTimeoutError("no telemetry for 50 ms")
+    if k >= 60:
+        raise TelemetryTimeoutError("nothing came")
     return report
 
 
@@ -208,7 +208,9 @@ def _silence(k: int, report: bytes) -> bytes:
     ("fault", "error"),
     [(_pos_beyond_the_turn, ReportError), (_short_report, ReportError), (_silence, TelemetryTimeoutError)],
 )
-def test_a_bad_report_or_silence_brakes_and_is_named(fault: object, error: type[FiohostError], tmp_path: Path) -> None:
+def test_bad_reports_or_silence_for_50_ms_brake_and_are_named(
+    fault: object, error: type[FiohostError], tmp_path: Path
+) -> None:
     board = WatchedTransport(on_receive=fault)  # type: ignore[arg-type]
     with pytest.raises(error):
         bench_on(board).drive(50.0, 5.0, tmp_path / "run.csv")
@@ -216,6 +218,26 @@ def test_a_bad_report_or_silence_brakes_and_is_named(fault: object, error: type[
     log = Log.read(tmp_path / "run.csv")
     assert 0 < len(log) < 60
     assert error.__name__ in log.metadata["ending"]
+
+
+@pytest.mark.parametrize("fault", [_pos_beyond_the_turn, _short_report, _silence])
+def test_a_few_bad_reports_are_missing_rows_and_the_run_goes_on(fault: Receive, tmp_path: Path) -> None:
+    """Nothing is answered to a report that cannot be one: the board holds, the log has no row, the ending says so."""
+    bad = range(100, 109)
+    board = WatchedTransport(on_receive=lambda k, report: fault(60, report) if k in bad else report)
+    with bench_on(board) as bench:
+        log = bench.drive(50.0, 1.0, tmp_path / "run.csv")
+        sent = len(board.sent)
+    assert board.braked
+    ticks = np.rint(log.time_s / 0.005).astype(int)
+    missing = sorted(set(range(200)) - set(ticks))
+    assert len(missing) == len(bad)
+    assert missing == list(range(missing[0], missing[0] + len(bad)))
+    assert log.metadata["ending"] == "complete"
+    assert f"{len(bad)} " in log.metadata["tick_statistics"]
+    assert "9 ticks are missing in 1 gaps" in log.dropped[0]
+    assert np.abs(np.diff(log.output)[20:]).max() > 15.0  # the shaft ran on through the gap
+    assert sent < 400
 
 
 def test_a_board_that_went_away_is_said_to_be_perhaps_running(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from fiohost.bench.clock import Clock, MonotonicClock
 from fiohost.bench.loop import Bench
-from fiohost.bench.seal import MAX_SEED, draw_seed, store_seed
+from fiohost.bench.seal import MAX_SEED, SEALED, draw_seed, store_seed
 from fiohost.errors import ConfigError
 from fiohost.settings import config_names, nearest
 from fiohost.transport.base import Transport
@@ -21,8 +21,9 @@ def connect(target: str = DEFAULT_TARGET, *, seed: int | None = None, realtime: 
     """Open a target and return its bench (a context manager).
 
     ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed* or,
-    without one, by a seed that is kept for ``fiohost unseal``. Simulated boards run in virtual time unless
-    *realtime*. Raises ConfigError for an unknown target or plant, TransportError where it cannot be opened.
+    without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and a clock
+    with faults. Simulated boards run in virtual time unless *realtime*. Raises ConfigError for an unknown target or
+    plant, TransportError where it cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
@@ -41,11 +42,11 @@ def connect(target: str = DEFAULT_TARGET, *, seed: int | None = None, realtime: 
 def _simulated(rest: str, seed: int | None, run_id: str) -> Transport:
     from fiohost.transport.simulated import plant_board, sealed_board
 
-    if rest != "sealed":
+    if f"sim:{rest}" not in SEALED:
         return plant_board(rest, seed)
     drawn = draw_seed() if seed is None else seed
     store_seed(run_id, drawn)
-    return sealed_board(drawn)
+    return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0])
 
 
 def _absent(rest: str, seed: int | None, run_id: str) -> Transport:

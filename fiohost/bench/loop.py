@@ -1,8 +1,9 @@
 """The bench: the tick loop between a program and a board, with a safe stop and a log.
 
-Each turn: take telemetry k, ask the program, send command k, log both. Whatever ends a run (its program, Ctrl-C, a
-signal, an exception in a controller, a bad report, silence on the line, a full disk), the board is braked first; then
-the log is closed, complete.
+Each turn: take telemetry k, ask the program, send command k, log both. A tick without telemetry, or with a report that
+cannot be one, is counted and passed over: nothing is sent, the board holds its outputs, the log has no row. Whatever
+ends a run (its program, Ctrl-C, a signal, an exception in a controller, 50 ms without a good report, a full disk), the
+board is braked first; then the log is closed, complete.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +25,15 @@ from fiohost.bench.program import Hold, Program
 from fiohost.bench.statistics import TickStatistics
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.unwrap import Unwrapper
-from fiohost.errors import ConfigError, FiohostError, LimitError, LogError, TransportError
+from fiohost.errors import (
+    ConfigError,
+    FiohostError,
+    LimitError,
+    LogError,
+    ReportError,
+    TelemetryTimeoutError,
+    TransportError,
+)
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telemetry
@@ -34,6 +43,9 @@ logger = logging.getLogger("fiohost.bench")
 TELEMETRY_TIMEOUT_S = 0.05
 REST_S = 0.1  # at rest: no count for this long
 SETTLE_LIMIT_S = 5.0
+BRAKE_REPEATS = 5  # a brake may be lost on its way, and nobody else would send another
+STILL_TICKS = 5  # a braked shaft is believed to stand after this many equal readings, and as many in silence
+BRAKE_LIMIT_S = 1.0
 COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
 
 
@@ -75,6 +87,7 @@ class Bench:
         self._due_s = self.clock.now_s()
         self._opened_s = self._due_s
         self._received = 0
+        self._lost_in_a_row = 0
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
         transport.open()
         layout = f"{profile.name} (layout {profile.status})"
@@ -194,9 +207,13 @@ class Bench:
         while True:
             if stop.requested:
                 stop.check()
-            direction, pos = self._receive()
+            reading = self._receive()
             if real and k == 0:
                 begin = self.clock.now_s()
+            if reading is None:
+                k += 1
+                continue
+            direction, pos = reading
             angle = unwrap(pos) * deg
             answer = step(k, angle)
             if answer is None:
@@ -212,21 +229,44 @@ class Bench:
                 progress(Tick(time_s, command, pos, direction, angle, ref))
             k += 1
 
-    def _receive(self) -> Telemetry:
-        """Telemetry of this tick. A lock-step board is paced by the clock, any other keeps its own time."""
-        if self.transport.lock_step:
+    def _receive(self) -> Telemetry | None:
+        """Telemetry of this tick, or None where nothing came that could be one. A lock-step board is paced by the
+        clock, any other keeps its own time. Raises after TELEMETRY_TIMEOUT_S of nothing.
+        """
+        lock_step = self.transport.lock_step
+        before = self.clock.now_s()
+        if lock_step:
             late_s = self.clock.wait_until(self._due_s)
             self._due_s += self.sample_time_s
             if late_s > 1.0:  # the host slept: do not hurry through the ticks of that time
                 self._due_s = self.clock.now_s() + self.sample_time_s
-            report = self.transport.receive(TELEMETRY_TIMEOUT_S)
-        else:
-            before = self.clock.now_s()
-            report = self.transport.receive(TELEMETRY_TIMEOUT_S)
+        statistics = self.statistics
+        passed_over = self.transport.passed_over
+        reading: Telemetry | None = None
+        problem: TransportError | None = None
+        try:
+            reading = self._codec.decode(self.transport.receive(TELEMETRY_TIMEOUT_S))
+        except TelemetryTimeoutError as exc:
+            if not lock_step:
+                raise
+            statistics.silent += 1
+            problem = exc
+        except ReportError as exc:
+            statistics.refused += 1
+            problem = exc
+        if not lock_step:
             late_s = max(0.0, self.clock.now_s() - before - self.sample_time_s)
-        self.statistics.count(late_s)
+        statistics.count(late_s)
+        statistics.passed_over += self.transport.passed_over - passed_over
         self._received += 1
-        return self._codec.decode(report)
+        self._lost_in_a_row = self._lost_in_a_row + 1 if problem else 0
+        if problem and self._lost_in_a_row * self.sample_time_s >= TELEMETRY_TIMEOUT_S:
+            if isinstance(problem, ReportError):
+                raise problem
+            raise TelemetryTimeoutError(
+                f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
+            ) from problem
+        return reading
 
     def _bench_time_s(self) -> float:
         """Seconds since the bench was opened, by the board's ticks where it is in lock step: for what drifts or
@@ -243,10 +283,12 @@ class Bench:
         quiet, last = 0, -1
         for _ in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
             stop.check()
-            pos = self._receive().pos
+            reading = self._receive()
             self.transport.send(brake)
-            quiet = quiet + 1 if pos == last else 0
-            last = pos
+            if reading is None:
+                continue
+            quiet = quiet + 1 if reading.pos == last else 0
+            last = reading.pos
             if quiet * self.sample_time_s >= REST_S:
                 break
         settled = "at rest" if quiet * self.sample_time_s >= REST_S else "still moving under brake"
@@ -267,9 +309,26 @@ class Bench:
         self._brake()
 
     def _brake(self) -> None:
-        self.transport.send(self._codec.encode(BRAKE_COMMAND))
-        if self.transport.lock_step:  # such a board takes the command at its next step, so it needs one
-            self.transport.receive(TELEMETRY_TIMEOUT_S)
+        """Send the brake, more than once: a line may lose or damage any report."""
+        brake = self._codec.encode(BRAKE_COMMAND)
+        if not self.transport.lock_step:
+            for _ in range(BRAKE_REPEATS):
+                self.transport.send(brake)
+            return
+        # Such a board takes a command at its next step, so it needs some; by its readings it can be seen to stand.
+        for _ in range(round(BRAKE_LIMIT_S / self.sample_time_s / (2 * STILL_TICKS))):
+            if self._stands(brake) and self._stands(None):
+                break
+
+    def _stands(self, report: bytes | None) -> bool:
+        """Whether the count stays the same for some ticks, with a report going out in each."""
+        seen = set()
+        for _ in range(STILL_TICKS):
+            if report is not None:
+                self.transport.send(report)
+            with suppress(TelemetryTimeoutError, ReportError):
+                seen.add(self._codec.decode(self.transport.receive(TELEMETRY_TIMEOUT_S)).pos)
+        return len(seen) == 1
 
     def _head(self) -> dict[str, str]:
         """Metadata of every log of this bench."""

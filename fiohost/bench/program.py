@@ -13,7 +13,10 @@ Answer = tuple[Command, float | None]  # the command, and the reference in degre
 
 class Program(Protocol):
     def step(self, k: int, angle_deg: float) -> Answer | None:
-        """Answer the reading of tick *k*. *angle_deg* is POS/2 made continuous: it does not jump at 0 and 360."""
+        """Answer the reading of tick *k*. *angle_deg* is POS/2 made continuous: it does not jump at 0 and 360.
+
+        Ticks whose telemetry was lost are not asked for: *k* may grow by more than one.
+        """
 
 
 class Hold:
@@ -24,7 +27,7 @@ class Hold:
         self._ticks = ticks
 
     def step(self, k: int, angle_deg: float) -> Answer | None:
-        return None if k == self._ticks else self._answer
+        return None if self._ticks is not None and k >= self._ticks else self._answer
 
 
 class OpenLoop:

@@ -15,6 +15,7 @@ from fiohost.bench.log import Log
 from fiohost.errors import ConfigError, FiohostError
 
 MAX_SEED = 2**63 - 1
+SEALED = ("sim:sealed", "sim:sealed-faulty")
 
 
 def state_dir() -> Path:
@@ -49,7 +50,7 @@ def find_seed(seed_or_log: str) -> int:
     if not Path(seed_or_log).exists():
         raise ConfigError(f"{seed_or_log!r} is neither a seed (a whole number) nor a log file")
     log = Log.read(seed_or_log)
-    if log.metadata.get("target") != "sim:sealed":
+    if log.metadata.get("target") not in SEALED:
         raise ConfigError(f"{seed_or_log} is a log of {log.metadata.get('target', 'an unnamed target')!r}: not sealed")
     run_id = log.metadata.get("run_id", "")
     path = _seal_path(run_id) if re.fullmatch(r"[0-9a-f]{8,64}", run_id) else None

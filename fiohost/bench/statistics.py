@@ -1,4 +1,4 @@
-"""How well the ticks were kept."""
+"""How well the ticks were kept, and what came of the reports."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ class TickStatistics:
         self.ticks = 0
         self.late = 0  # more than half a tick after the deadline
         self.worst_s = 0.0
+        self.silent = 0  # ticks without telemetry
+        self.refused = 0  # ticks whose report could not be one
+        self.passed_over = 0  # reports older than the one read
         self._sum_s = 0.0
         self._limit_s = 0.5 * sample_time_s
 
@@ -31,17 +34,27 @@ class TickStatistics:
     def describe(self) -> str:
         """One line for people and for the log's head."""
         if not self.real:
-            return f"{self.ticks} ticks in virtual time"
-        return (
-            f"{self.ticks} ticks; {self.late} late by more than half a tick; "
-            f"lateness mean {1e3 * self.mean_s:.2f} ms, worst {1e3 * self.worst_s:.2f} ms"
-        )
+            said = f"{self.ticks} ticks in virtual time"
+        else:
+            said = (
+                f"{self.ticks} ticks; {self.late} late by more than half a tick; "
+                f"lateness mean {1e3 * self.mean_s:.2f} ms, worst {1e3 * self.worst_s:.2f} ms"
+            )
+        faults = {
+            "without telemetry": self.silent,
+            "with a report that was refused": self.refused,
+            "surplus reports": self.passed_over,
+        }
+        return "; ".join([said, *(f"{count} {what}" for what, count in faults.items() if count)])
 
     def as_dict(self) -> dict[str, object]:
         return {
             "ticks": self.ticks,
             "virtual_time": not self.real,
             "late": self.late,
+            "without_telemetry": self.silent,
+            "refused_reports": self.refused,
+            "surplus_reports": self.passed_over,
             "mean_lateness_ms": round(1e3 * self.mean_s, 4),
             "worst_lateness_ms": round(1e3 * self.worst_s, 4),
         }

@@ -45,12 +45,13 @@ def unseal(seed_or_log: str, json_to: str | None) -> None:
 
     out = output_for(json_to)
     seed = find_seed(seed_or_log)
-    truth = break_seal(seed)
+    truth = break_seal(seed, faulty=True)
     sentences = truth.get("truth") or []
     out(f"seed {seed}: {', '.join(truth.get('effects') or []) or 'no effect'}")
     for sentence in sentences:
         out(f"  {sentence}")
     _tree(out, {k: v for k, v in truth.items() if k in ("si", "reduced")})
+    _tree(out, {"faults, as sim:sealed-faulty": truth["faults"]})
     out.json({"schema": "fiohost.unseal/1", "seed": seed, **truth})
 
 

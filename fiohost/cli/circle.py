@@ -25,7 +25,8 @@ from fiohost.cli.progress import progress
 def close_loop(target: str, seed: str | None, model: str, report: Path | None, json_to: str | None) -> None:
     """Run a suite of experiments, name what the model lacks, and prove it on a fresh record.
 
-    On a sealed board the plant and its one undeclared effect are drawn at random and shown only at the very end.
+    On a sealed board the plant and its undeclared effects (none, one or two) are drawn at random and shown only at the
+    very end.
 
     \b
     Examples:
@@ -33,6 +34,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
       fiohost close-loop --seed 7 --report out
     """
     from fiohost.bench.connect import connect
+    from fiohost.bench.seal import SEALED
     from fiohost.circle.close import close_loop as run_circle
     from fiohost.discover.result import to_json
     from fiohost.motor.model import Model
@@ -47,7 +49,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
     with connect(target, seed=drawn) as bench, progress() as doing:
         circle = run_circle(bench, folder, declared, say=doing)
     diagnosis = to_json(circle.diagnosis)
-    seal = _open_seal(circle.fresh_log.path) if target == "sim:sealed" else None
+    seal = _open_seal(circle.fresh_log.path, target) if target in SEALED else None
     result = circle.to_json(diagnosis, seal)
     print_circle(say.console, result)
     circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
@@ -73,9 +75,9 @@ def _folder(report: Path | None) -> Path:
     return folder
 
 
-def _open_seal(log: Path) -> dict[str, object]:
+def _open_seal(log: Path, target: str) -> dict[str, object]:
     """The truth about a sealed board, from its log: the last thing that is done."""
-    from fiohost.bench.seal import find_seed
+    from fiohost.bench.seal import SEALED, find_seed
     from fiohost.transport.instruments import break_seal
 
-    return break_seal(find_seed(str(log)))
+    return break_seal(find_seed(str(log)), faulty=target != SEALED[0])

@@ -19,7 +19,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 def target_options(command: Command) -> Command:
     """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None)."""
     seed_help = "For sim:sealed: which board. For other simulated boards: how the shaft starts."
-    target_help = "sim, sim:PLANT, sim:sealed, or the name of a profile."
+    target_help = "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, or the name of a profile."
     command = click.option("--seed", metavar="N", help=seed_help)(command)
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
 

@@ -25,6 +25,7 @@ class Transport(ABC):
     lock_step: bool = False
     facts: Mapping[str, str]
     counts_per_rev: int | None = None  # where the board is known better than by its profile
+    passed_over: int = 0  # reports that came with a newer one and were never read
 
     @abstractmethod
     def open(self) -> None:
@@ -36,7 +37,10 @@ class Transport(ABC):
 
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes:
-        """The newest report of the board. Raises TelemetryTimeoutError after *timeout_s*, DisconnectedError."""
+        """The newest report of the board. Raises TelemetryTimeoutError after *timeout_s*, DisconnectedError.
+
+        A board in lock step does one task step and may send nothing in it: TelemetryTimeoutError.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -7,17 +7,25 @@ no log of it says more than its wire.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
-from fiohost.errors import ConfigError, DisconnectedError
+from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError
 from fiohost.transport.base import Transport
+
+if TYPE_CHECKING:
+    from firmware_model import Board, Plant
 
 DEFAULT_PLANT = "default"
 
-Step = Callable[[bytes | None], bytes]
+Step = Callable[[bytes | None], bytes | list[bytes]]
+
+# For the lab's instruments alone: the boards behind open plants. A sealed one has no meters.
+_boards: WeakKeyDictionary[Transport, Board] = WeakKeyDictionary()
 
 
 class SimulatedTransport(Transport):
-    """Wraps the step function of a board: ``step(newest report or None) -> telemetry``."""
+    """Wraps the step function of a board: ``step(newest report or None) -> telemetry``, or all reports that came."""
 
     lock_step = True
 
@@ -49,7 +57,13 @@ class SimulatedTransport(Transport):
         if not self._is_open:
             raise DisconnectedError("the line to the simulated board is closed")
         newest, self._newest = self._newest, None
-        return self._step(newest)
+        came = self._step(newest)
+        if isinstance(came, bytes):
+            return came
+        if not came:
+            raise TelemetryTimeoutError("the simulated board sent nothing in this tick")
+        self.passed_over += len(came) - 1
+        return came[-1]
 
     def close(self) -> None:
         self._is_open = False
@@ -66,16 +80,28 @@ def plant_board(plant_name: str, seed: int | None = None) -> SimulatedTransport:
         raise ConfigError(str(exc)) from exc
     name = f"sim:{plant_name}" if plant_name else "sim"
     facts = {"plant": plant.name, "supply_V": f"{plant.supply_V:g}"}
-    return SimulatedTransport(board.step, name, "simulated", facts, plant.counts_per_rev)
+    transport = SimulatedTransport(_line(board, plant, seed), name, "simulated", facts, plant.counts_per_rev)
+    _boards[transport] = board
+    return transport
 
 
-def sealed_board(seed: int) -> SimulatedTransport:
-    """A board whose plant and effects are drawn by *seed* and told to nobody."""
+def sealed_board(seed: int, *, faulty: bool = False) -> SimulatedTransport:
+    """A board whose plant, effects and, where asked for, faults are drawn by *seed* and told to nobody."""
     from firmware_model import Board, draw
 
-    plant = draw(seed)
-    board = Board(plant, seed=seed)
-    return SimulatedTransport(board.step, "sim:sealed", "simulated, sealed", counts_per_rev=plant.counts_per_rev)
+    plant = draw(seed, faulty=faulty)
+    step = _line(Board(plant, seed=seed), plant, seed)
+    name = "sim:sealed-faulty" if faulty else "sim:sealed"
+    return SimulatedTransport(step, name, "simulated, sealed", counts_per_rev=plant.counts_per_rev)
+
+
+def _line(board: Board, plant: Plant, seed: int | None) -> Step:
+    """The board's step, through the faults of its line and clock where it has any."""
+    if plant.faults is None:
+        return board.step
+    from firmware_model import FaultyBoard
+
+    return FaultyBoard(board, plant.faults, seed=seed).step
 
 
 def list_plants() -> list[dict[str, str]]:
