@@ -1,0 +1,96 @@
+"""One record with everything that the reference's equations need: constants of the plant, then the regime."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from firmware_model.plants import Plant
+
+MOTOR = ("R", "L", "Kt", "Ke", "J", "B", "coulomb", "supply")
+# Field: effect and key of its table; value where the effect is absent.
+TAKEN: dict[str, tuple[str, str, float]] = {
+    "drift": ("supply_drift", "drift_per_s", 0.0),
+    "reverse_gain": ("direction_dependent_gain", "ratio", 1.0),
+    "source": ("supply_sag", "source_ohm", 0.0),
+    "alpha": ("armature_heating", "alpha_per_K", 0.0),
+    "thermal": ("armature_heating", "thermal_K_per_W", 0.0),
+    "thermal_tau": ("armature_heating", "time_constant_s", 1.0),
+    "limit": ("current_limit", "limit_A", math.inf),
+    "drop": ("bridge_voltage_drop", "drop_V", 0.0),
+    "diode": ("fast_decay", "diode_V", 0.0),
+    "drag": ("quadratic_drag", "drag_Nms2", 0.0),
+    "cog": ("cogging_torque", "torque_Nm", 0.0),
+    "cog_order": ("cogging_torque", "order", 1.0),
+    "cog_phase": ("cogging_torque", "phase_rad", 0.0),
+    "load": ("constant_load", "torque_Nm", 0.0),
+    "weight": ("gravity_load", "torque_Nm", 0.0),
+    "weight_phase": ("gravity_load", "phase_rad", 0.0),
+    "forward": ("asymmetric_coulomb_friction", "forward_Nm", 0.0),
+    "reverse": ("asymmetric_coulomb_friction", "reverse_Nm", 0.0),
+    "stiction": ("static_friction", "extra_Nm", 0.0),
+    "stribeck": ("stribeck_friction", "extra_Nm", 0.0),
+    "stribeck_speed": ("stribeck_friction", "stribeck_speed_rad_s", 1.0),
+    "tooth": ("load_dependent_friction", "ratio", 0.0),
+    "turn": ("position_dependent_friction", "ratio", 0.0),
+    "turn_order": ("position_dependent_friction", "order", 1.0),
+    "turn_phase": ("position_dependent_friction", "phase_rad", 0.0),
+    "grease": ("friction_warm_up", "ratio", 0.0),
+    "grease_tau": ("friction_warm_up", "time_constant_s", 1.0),
+    "bristle": ("presliding_friction", "breakaway_rad", 0.0),
+    "stop": ("hard_stop", "angle_rad", math.inf),
+    "stiffness": ("shaft_compliance", "stiffness_Nm_per_rad", 0.0),
+    "damping": ("shaft_compliance", "damping_Nms", 0.0),
+}
+# Set as the run goes on: the command, what has changed, and who moves which way, is held, touches or lets flow.
+REGIME = ("duty", "standby", "inertia", "friction", "gain", "side", "held", "resting", "contact", "pressed", "flow")
+# resting: on the end of travel (the load, where there are two bodies); pressed: the closed face of a gap with a spring.
+# limited: current at its limit, its sign; half: half the play; load_J: inertia beyond gap or spring.
+OTHER = ("half", "load_J", "fast", "limited")
+RECORD = np.dtype([(name, np.float64) for name in (*MOTOR, *TAKEN, *OTHER, *REGIME)])
+
+# State x: angle, speed, current, load's angle and speed, bristle, winding's warmth (K), grease's warmth (0..1).
+STATES = 8
+# Regimes of the current: open through the diodes or driven (its sign), none, or pulses that cease in every period.
+PULSES = 2.0
+
+
+def record(plant: Plant) -> Any:
+    """The record of a plant at rest, an array of one."""
+    c = np.zeros(1, RECORD)
+    q = plant.effects
+    values = (plant.R_ohm, plant.L_H, plant.Kt_Nm_per_A, plant.Ke_Vs_per_rad, plant.J_kgm2, plant.B_Nms)
+    for name, value in zip(MOTOR, (*values, plant.coulomb_Nm, plant.supply_V), strict=True):
+        c[name] = value
+    for name, (effect, key, absent) in TAKEN.items():
+        c[name] = q.get(effect, {}).get(key, absent)
+    c["L"] = max(plant.L_H, q.get("armature_inductance", {}).get("inductance_H", 0.0))
+    gap, spring = q.get("backlash", {}), q.get("shaft_compliance", {})
+    c["half"] = 0.5 * gap.get("gap_rad", 0.0)
+    c["load_J"] = max(gap.get("load_inertia_kgm2", 0.0), spring.get("load_inertia_kgm2", 0.0))
+    c["fast"] = float("fast_decay" in q)
+    for name in ("inertia", "friction", "gain", "standby"):
+        c[name] = 1.0
+    return c
+
+
+def effective(plant: Plant, duty: float) -> float:
+    """The duty in percent that the bridge makes of a commanded one, in the order of the catalogue's stages."""
+    q, size, sign = plant.effects, abs(duty), math.copysign(1.0, duty)
+    if "pwm_resolution" in q:
+        levels = q["pwm_resolution"]["levels"]
+        size = math.floor(size / 100.0 * levels + 0.5) * 100.0 / levels
+    if "duty_curve" in q:
+        size = 100.0 * (size / 100.0) ** q["duty_curve"]["exponent"]
+    if "input_deadband" in q:
+        size = max(size - q["input_deadband"]["level_pct"], 0.0)
+    if "asymmetric_deadband" in q:
+        key = "u_plus_pct" if sign > 0.0 else "u_minus_pct"
+        size = max(size - abs(q["asymmetric_deadband"][key]), 0.0)
+    if "pwm_dead_time" in q and size < 100.0:
+        size = max(size - 100.0 * q["pwm_dead_time"]["time_s"] / 50e-6, 0.0)
+    if "voltage_saturation" in q:
+        size = min(size, q["voltage_saturation"]["limit_pct"])
+    return sign * size
