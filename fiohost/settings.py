@@ -58,8 +58,18 @@ def read_toml(path: Path) -> Table:
             return Table(tomllib.load(handle), str(path))
     except OSError as exc:
         raise ConfigError(f"cannot read {path}: {exc.strerror}") from exc
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as exc:
+    except (ValueError, RecursionError) as exc:  # not TOML, not UTF-8, numbers or nesting beyond all measure
         raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether *value* is a number (no flag) that a float can hold: TOML knows whole numbers of any length."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 class Table:
@@ -87,8 +97,9 @@ class Table:
         value = self.raw(key, default)
         if value is None:
             raise self.fail(f"key {key!r} is missing")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.fail(f"{key} = {value!r} is not a finite number")
+        if not _is_finite(value):
+            shown = "a huge whole number" if isinstance(value, int) and not isinstance(value, bool) else repr(value)
+            raise self.fail(f"{key} = {shown[:60]} is not a finite number")
         if not low <= value <= high:
             raise self.fail(f"{key} = {value!r} is outside {low:g}..{high:g}")
         return float(value)
@@ -119,9 +130,7 @@ class Table:
         value = self.raw(key, default)
         if value is None:
             raise self.fail(f"key {key!r} is missing")
-        good = isinstance(value, (list, tuple)) and all(
-            isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
-        )
+        good = isinstance(value, (list, tuple)) and all(_is_finite(v) for v in value)
         if not good or not 0 < len(value) <= most:
             raise self.fail(f"{key} is not a list of 1 to {most} finite numbers")
         return [float(v) for v in value]

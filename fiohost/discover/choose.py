@@ -19,6 +19,7 @@ from fiohost.discover.screen import Score
 from fiohost.identify.fit import Fit, fit, unchanged
 from fiohost.identify.intervals import covariance, estimates
 from fiohost.identify.record import Record, make_record
+from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 T = TypeVar("T")
@@ -31,6 +32,7 @@ FINE = np.geomspace(0.85, 1.18, 16)
 MOMENT_S = 2.0
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
+STEP_SHARES = (1.0, 0.5, 0.25)
 SIGMAS_FROM_NEUTRAL = 3.0
 LEAST_CV_GAIN = 0.01
 BLOCK_S = 2.0
@@ -111,15 +113,37 @@ class Validated:
         return float(self.blocks.sum())
 
 
+def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) -> Model:
+    """The model as it would be fitted without a group of its records: one Newton step from the whole fit, halved
+    while it does not pay on the rest.
+    """
+    if not fitted.names:
+        return fitted.model
+    rest = [i for i in range(len(records)) if i not in group]
+    hessian = sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in rest)
+    gradient = sum(fitted.jacobians[i].T @ fitted.residuals[i] for i in rest)
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
+    before = sum(float(fitted.residuals[i] @ fitted.residuals[i]) for i in rest)
+    kept, starts = [records[i] for i in rest], [fitted.starts[i] for i in rest]
+    for share in STEP_SHARES:
+        values: dict[str, Value] = {}
+        for name, change in zip(fitted.names, share * step, strict=True):
+            parameter = fitted.model.parameter(name)
+            values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
+        model = fitted.model.with_values(values)
+        if unchanged(model, kept, starts=starts).cost <= before:
+            return model
+    return fitted.model
+
+
 def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequence[int]]) -> Validated:
-    """Cross-validate the structure of a fitted model, starting every fold from its values."""
+    """Cross-validate the structure of a fitted model: what each group of records, left out, makes of the rest's fit."""
     blocks: list[float] = []
     costs: list[float] = []
     for group in groups:
-        rest = [r for i, r in enumerate(cv_records) if i not in group]
         out = [cv_records[i] for i in group]
-        part = fit(fitted.model, rest, max_iterations=8, tolerance=1e-4)
-        seen = unchanged(part.model, out)
+        seen = unchanged(without_group(fitted, cv_records, group), out, starts=[fitted.starts[i] for i in group])
         for record, residual in zip(out, seen.residuals, strict=True):
             size = max(1, round(BLOCK_S / record.sample_time_s))
             blocks.extend(float(residual[a : a + size] @ residual[a : a + size]) for a in range(0, len(residual), size))
@@ -127,21 +151,19 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
     return Validated(fitted, np.array(blocks), np.array(costs))
 
 
-def refit(base: Fit, score: Score, records: Sequence[Record], *, search: bool = True) -> Fit:
-    """The base model with one effect added, fitted from the best few of its trials; the best is fitted fully.
-
-    ``search`` also looks along its ragged parameters.
-    """
-    name = score.effect.name
-    starts: list[Model] = []
-    for trial in score.trials[:STARTS]:
-        starts.append(base.model.with_effect(name, trial))
+def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
+    """The base model with one effect added: the best of a few steps from each of its best trials."""
+    starts = [base.model.with_effect(score.effect.name, trial) for trial in score.trials[:STARTS]]
     rough = [fit(m, records, starts=base.starts, max_iterations=5, tolerance=1e-2) for m in starts]
-    best = min(rough, key=lambda f: f.cost)
-    best = fit(best.model, records, starts=best.starts, max_iterations=25, tolerance=1e-6)
-    for parameter in score.effect.parameters:
+    return min(rough, key=lambda f: f.cost)
+
+
+def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: bool = True) -> Fit:
+    """A rough fit carried to its minimum; ``search`` also looks along the effect's ragged parameters."""
+    best = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
+    for parameter in effect.parameters:
         if parameter.ragged and search:
-            best = _searched(best, f"{name}.{parameter.name}", records)
+            best = _searched(best, f"{effect.name}.{parameter.name}", records)
     return best
 
 

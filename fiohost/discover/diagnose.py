@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fiohost.discover.choose import each
 from fiohost.discover.evidence import Dependence, dependences
@@ -88,6 +89,21 @@ def diagnose_records(
     units = {r.unit for r in (*train, *holdout)}
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
+    # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _diagnose(train, holdout, model, library, from_file, seed, say, files or {})
+
+
+def _diagnose(
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    model: Model,
+    library: Sequence[str] | None,
+    from_file: bool,
+    seed: int,
+    say: Progress,
+    files: dict[str, dict[str, str]],
+) -> Diagnosis:
     began = time.monotonic()
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
@@ -115,7 +131,7 @@ def diagnose_records(
         floor_holdout=tuple(floors(holdout, final, after, stage.replica_models, rng)) if holdout else (),
         seconds=time.monotonic() - began,
         horizon_s=horizon_s,
-        files=files or {},
+        files=files,
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.identify.fit import Fit, project
+from fiohost.identify.fit import Fit
 from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.effect import Effect, Span, Value, effects
@@ -20,6 +20,8 @@ from fiohost.motor.model import Model
 
 BLOCKS_A_RECORD = 10
 FLIPS = 400
+# Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
+RESOLUTION_S = 0.02
 BEST_TRIALS = 4
 
 Trial = dict[str, Value]
@@ -72,16 +74,27 @@ class Screen:
         self.records = records
         self.span = span_of(records)
         flat = Flat.of(fit.model)
+        self._blocks = [max(1, round(RESOLUTION_S / r.sample_time_s)) for r in records]
+        self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
         self._base = [free_output(r, flat, s) for r, s in zip(records, fit.starts, strict=True)]
-        jacobian = np.vstack(fit.jacobians) if fit.names else np.empty((fit.samples, 0))
+        self._nuisances = [np.linalg.qr(n)[0] if n.shape[1] else n for n in self.coarse(fit.nuisances)]
+        jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((fit.samples, 0))
         norms = np.linalg.norm(jacobian, axis=0)
         self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
         self.residual = self.clean([r for r in fit.residuals])
         self.power = float(self.residual @ self.residual)
 
+    def coarse(self, series: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Means of each record's series (n, ...) over blocks of about the screen's resolution."""
+        found = []
+        for values, n in zip(series, self._blocks, strict=True):
+            whole = values[: len(values) // n * n]
+            found.append(whole.reshape(-1, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
+        return found
+
     def clean(self, series: Sequence[np.ndarray]) -> np.ndarray:
-        """Series of all records as one (n), without what initial states and the model's parameters can imitate."""
-        parts = [project(s[:, None], n)[:, 0] for s, n in zip(series, self.fit.nuisances, strict=True)]
+        """Series of all records as one (m), without what initial states and the model's parameters can imitate."""
+        parts = [s - q @ (q.T @ s) for s, q in zip(self.coarse(series), self._nuisances, strict=True)]
         flat = np.concatenate(parts)
         return np.asarray(flat - self._own @ (self._own.T @ flat))
 
@@ -182,7 +195,7 @@ def chance_share(
         np.add.at(powers.T, owner, (along**2).T)
         return np.asarray(powers.max(axis=1) / screen.power)
 
-    lengths = [len(r) for r in screen.records]
+    lengths = screen.lengths
     blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
     order = np.flatnonzero(np.diff(blocks, prepend=-1))
     sums = np.add.reduceat(basis * screen.residual[:, None].astype(np.float32), order, axis=0)

@@ -10,7 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.choose import Validated, each, folds, indistinguishable, objection, polish, refit, validate
+from fiohost.discover.choose import (
+    Validated,
+    each,
+    folds,
+    full_fit,
+    indistinguishable,
+    objection,
+    polish,
+    rough_fit,
+    validate,
+)
 from fiohost.discover.evidence import dependences
 from fiohost.discover.floor import Floor, floors, replica, replica_models
 from fiohost.discover.metrics import Judgement, judge, pool
@@ -27,6 +37,7 @@ MOST_EFFECTS = 4
 WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 HOPELESS = 4.0
+FAR = 12.0
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
@@ -133,7 +144,12 @@ class Search:
         whole = self.horizon_s is None
         worth = scores[: max(len(worth), LEAST_REFITTED) if whole else LEAST_REFITTED]
         self.say(f"refitting the best {len(worth)}")
-        refits = each(lambda s: refit(stage.fit, s, self.records, search=whole), worth)
+        rough = each(lambda s: rough_fit(stage.fit, s, self.records), worth)
+        near = [i for i, f in enumerate(rough) if f.cost <= FAR * min(r.cost for r in rough)]
+        full = each(lambda i: full_fit(rough[i], scores[i].effect, self.records, search=whole), near)
+        refits = [*rough]
+        for i, found in zip(near, full, strict=True):
+            refits[i] = found
         shares = [1.0 - f.cost / stage.fit.cost for f in refits]
         base = self.validate(stage.fit)
         pooled = pool([f.errors for f in stage.floors])
@@ -142,7 +158,9 @@ class Search:
         for score, found, share in zip(scores, refits, shares, strict=False):
             why = objection(found, score.effect.name)
             if share <= chance:
-                why = f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
+                why = (
+                    f"removes {100 * max(share, 0.0):.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
+                )
             left = float(np.sqrt(found.cost / found.samples)) / floor
             if score.effect.once and left > FINISHED:
                 why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"

@@ -20,6 +20,8 @@ from fiohost.motor.simulate import Start
 from fiohost.motor.state import GAIN
 
 MAX_ITERATIONS = 40
+# A step that promises less than this share of what the tolerance asks for is not tried.
+PROMISED = 0.1
 PLAY_ROUNDS = 2
 
 
@@ -80,6 +82,7 @@ class _Problem:
         self.model = model
         self.records = records
         self.windows = windows
+        self.base = Flat.of(model)
         self.names = tuple(model.free())
         self.slots = np.array([slot(n) for n in self.names], dtype=np.int64)
         parameters = [model.parameter(n) for n in self.names]
@@ -89,7 +92,7 @@ class _Problem:
         self.relative = np.array([q.relative_step for q in parameters])
 
     def flat(self, p: np.ndarray) -> Flat:
-        return Flat.of(self.model, p)
+        return self.base.at(p)
 
     def residual(self, record: Record, point: _Point, index: int, p: np.ndarray) -> np.ndarray:
         flat = self.flat(p)
@@ -137,8 +140,8 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     """Columns (n, k) with their part along the nuisance columns (n, q) taken out."""
     if nuisance.shape[1] == 0:
         return columns
-    coefficients, *_ = np.linalg.lstsq(nuisance, columns, rcond=1e-10)
-    return np.asarray(columns - nuisance @ coefficients)
+    basis, _ = np.linalg.qr(nuisance)
+    return np.asarray(columns - basis @ (basis.T @ columns))
 
 
 def _solve(
@@ -148,11 +151,12 @@ def _solve(
     cost = _sum_of_squares(residuals)
     damping = 1e-4
     converged = False
-    jacobians, nuisances = problem.linearise(point, residuals)
     for _ in range(max_iterations):
+        jacobians, nuisances = problem.linearise(point, residuals)
         gradient = np.zeros(len(problem.slots))
         hessian = np.zeros((len(problem.slots),) * 2)
         parts = []
+        nuisance_gain = 0.0
         for residual, columns, nuisance in zip(residuals, jacobians, nuisances, strict=True):
             inner = nuisance.T @ nuisance
             inner += 1e-12 * np.trace(inner) * np.eye(len(inner)) if len(inner) else 0.0
@@ -162,6 +166,7 @@ def _solve(
             gradient += columns.T @ residual
             hessian += columns.T @ columns
             if len(inner):
+                nuisance_gain += float(pull @ eliminate[:, -1])
                 gradient -= cross.T @ eliminate[:, -1]
                 hessian -= cross.T @ eliminate[:, :-1]
             parts.append(eliminate)
@@ -182,6 +187,8 @@ def _solve(
                     continue
             moved = np.clip(values + step, problem.lower, problem.upper)
             step = moved - values
+            if float(step @ gradient) + nuisance_gain <= PROMISED * tolerance * cost:
+                break
             trial = _Point(point.p.copy(), list(point.starts))
             trial.p[problem.slots] = moved
             for i, (record, part) in enumerate(zip(problem.records, parts, strict=True)):
@@ -206,10 +213,10 @@ def _solve(
         gain = cost - new_cost
         point, residuals, cost = trial, new_residuals, new_cost
         damping = max(damping * 0.15, 1e-9)
-        jacobians, nuisances = problem.linearise(point, residuals)
         if gain <= tolerance * cost or cost < 1e-18:
             converged = True
             break
+    # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
     return point, residuals, projected, nuisances, cost, converged
 

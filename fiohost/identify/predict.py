@@ -13,7 +13,7 @@ from fiohost.identify.windows import fit_windows, read_output
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
-from fiohost.motor.state import BACKLASH, GAIN, GAP, STATE_SIZE
+from fiohost.motor.state import BACKLASH, GAIN, GAP, STATE_SIZE, THETA, WORK_SIZE
 
 PLAYS_APART = 0.5
 PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
@@ -31,12 +31,14 @@ class Flat:
     gap: bool
 
     @classmethod
-    def of(cls, model: Model, p: np.ndarray | None = None) -> Flat:
-        vector = model.vector() if p is None else p
-        on = model.switches()
+    def of(cls, model: Model) -> Flat:
         bends = any(effects()[name].angle_bound for name in model.effects)
-        gap = bool(on[BACKLASH]) and float(vector[GAP]) > 0.0
-        return cls(vector, on, model.substep_s(), seen_angle(vector, on), bends, gap)
+        return cls(model.vector(), model.switches(), model.substep_s(), THETA, bends, False).at(model.vector())
+
+    def at(self, p: np.ndarray) -> Flat:
+        """The same model with other values in its parameter array."""
+        gap = bool(self.on[BACKLASH]) and float(p[GAP]) > 0.0
+        return Flat(p, self.on, self.substep_s, seen_angle(p, self.on), self.bends, gap)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
@@ -69,11 +71,11 @@ def _fit(
     longest = int(np.max(np.diff(edges)))
     residuals = np.zeros(int(edges[-1]))
     shifts, omegas = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
-    work = np.empty((3, longest))
+    work = np.empty((4, longest))
     fit_windows(
         ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, edges, bases, free_speed, flat.bends,
         record.kind, flat.seen, flat.substep_s, flat.p, flat.on, _speed_step(flat), residuals, shifts, omegas,
-        np.empty(STATE_SIZE), work[0], np.empty((longest, STATE_SIZE)), work[1], work[2],
+        np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), work[0], work[1], work[2], work[3],
     )  # fmt: skip
     return residuals, shifts, omegas
 

@@ -13,6 +13,11 @@ from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 
+# A step is taken where it promises this share of the squared error; columns serve again while steps keep that much of
+# their promise.
+WORTH_MOVING = 1e-4
+AS_PROMISED = 0.7
+
 
 @inlined
 def output(times, states, first, count, kind, seen, p, on, y):  # type: ignore[no-untyped-def]
@@ -36,7 +41,7 @@ def read_output(times, states, kind, seen, p, on, y):  # type: ignore[no-untyped
 @inlined
 def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
     """A copy of ``base`` turned by ``shift`` and running at ``omega``, load and gap with it."""
-    for i in range(state.shape[0]):
+    for i in range(base.shape[0]):
         state[i] = base[i]
     state[THETA] += shift
     state[LOAD_THETA] += shift
@@ -66,15 +71,16 @@ def fit_windows(  # type: ignore[no-untyped-def]
     shifts,
     omegas,
     state,
-    trial,
     states,
     y0,
     y1,
+    by_speed,
+    by_angle,
 ):
     """Fit angle shift and speed of every window; ``bases`` (m, states) are the free run's states at the window starts.
 
     Writes ``residuals`` (n), measured minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques
-    depend on the angle, so that a shift is not just added to the output. The last five arguments are work space.
+    depend on the angle, so that a shift is not just added to the output. The last six arguments are work space.
     """
     for w in range(edges.shape[0] - 1):
         a, b = edges[w], edges[w + 1]
@@ -98,72 +104,70 @@ def fit_windows(  # type: ignore[no-untyped-def]
         for i in range(n):
             cost += (y[a + i] - y0[i]) ** 2
         damping = 1e-9
-        for _ in range(12):
-            # Columns: speed by difference; angle by difference or exactly one.
-            _move(state, base, shift if bends else 0.0, omega + speed_step)
-            simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-            output(times, states, a, n, kind, seen, p, on, y1)
-            if kind == ANGLE and not bends:
+        aa, sa, ss = 0.0, 0.0, 0.0
+        serving, moved = False, False
+        for _ in range(16):
+            if not serving:
+                # Columns: speed by difference; angle by difference or exactly one.
+                serving, moved = True, False
+                ss, sa, aa = 0.0, 0.0, 1.0
+                if free_speed:
+                    _move(state, base, shift if bends else 0.0, omega + speed_step)
+                    simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+                    output(times, states, a, n, kind, seen, p, on, y1)
                 for i in range(n):
-                    y1[i] += shift
-            ss, sa, aa, rs, ra = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(n):
-                r = y[a + i] - y0[i]
-                s = (y1[i] - y0[i]) / speed_step if free_speed else 0.0
-                trial[i] = s
-                ss += s * s
-                rs += s * r
-            if kind == ANGLE:
-                if bends:
+                    by_angle[i] = 1.0 if kind == ANGLE else 0.0
+                    by_speed[i] = 0.0
+                    if free_speed:
+                        by_speed[i] = (y1[i] + (shift if kind == ANGLE and not bends else 0.0) - y0[i]) / speed_step
+                if kind == ANGLE and bends:
                     angle_step = speed_step * 0.01
                     _move(state, base, shift + angle_step, omega)
                     simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
                     output(times, states, a, n, kind, seen, p, on, y1)
                     for i in range(n):
-                        g = (y1[i] - y0[i]) / angle_step
-                        aa += g * g
-                        sa += g * trial[i]
-                        ra += g * (y[a + i] - y0[i])
-                else:
-                    for i in range(n):
-                        aa += 1.0
-                        sa += trial[i]
-                        ra += y[a + i] - y0[i]
-            else:
-                aa = 1.0
-            better = False
-            gain = 0.0
-            for _ in range(8):
-                s11, s22 = ss * (1.0 + damping) + 1e-30, aa * (1.0 + damping)
-                det = s11 * s22 - sa * sa
-                if det <= 1e-12 * s11 * s22:
-                    step_speed, step_angle = 0.0, ra / s22
-                else:
-                    step_speed = (s22 * rs - sa * ra) / det
-                    step_angle = (s11 * ra - sa * rs) / det
-                _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
-                simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                output(times, states, a, n, kind, seen, p, on, y1)
-                new = 0.0
+                        by_angle[i] = (y1[i] - y0[i]) / angle_step
+                if kind == ANGLE:
+                    aa = 0.0
                 for i in range(n):
-                    if kind == ANGLE and not bends:
-                        y1[i] += shift + step_angle
-                    new += (y[a + i] - y1[i]) ** 2
-                if new <= cost:
-                    better = True
-                    gain = cost - new
-                    break
-                damping = max(damping * 10.0, 1e-6)
-            if not better:
-                break
-            cost = new
-            shift += step_angle
-            omega += step_speed
+                    ss += by_speed[i] * by_speed[i]
+                    sa += by_speed[i] * by_angle[i]
+                    aa += by_angle[i] * by_angle[i]
+            rs, ra = 0.0, 0.0
             for i in range(n):
-                y0[i] = y1[i]
-            damping *= 0.1
-            if gain <= 1e-6 * cost:
+                rs += by_speed[i] * (y[a + i] - y0[i])
+                ra += by_angle[i] * (y[a + i] - y0[i])
+            s11, s22 = ss * (1.0 + damping) + 1e-30, aa * (1.0 + damping)
+            det = s11 * s22 - sa * sa
+            if det <= 1e-12 * s11 * s22:
+                step_speed, step_angle = 0.0, ra / s22
+            else:
+                step_speed = (s22 * rs - sa * ra) / det
+                step_angle = (s11 * ra - sa * rs) / det
+            expected = step_speed * rs + step_angle * ra
+            if expected <= WORTH_MOVING * cost:
                 break
+            _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
+            simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+            output(times, states, a, n, kind, seen, p, on, y1)
+            new = 0.0
+            for i in range(n):
+                if kind == ANGLE and not bends:
+                    y1[i] += shift + step_angle
+                new += (y[a + i] - y1[i]) ** 2
+            if new <= cost:
+                # Columns serve again while the step did what they promised.
+                serving = cost - new > AS_PROMISED * expected
+                moved = True
+                cost = new
+                shift += step_angle
+                omega += step_speed
+                for i in range(n):
+                    y0[i] = y1[i]
+                damping *= 0.1
+            else:
+                damping = max(damping * 10.0, 1e-6)
+                serving = not moved
         shifts[w] = shift
         omegas[w] = omega
         for i in range(n):

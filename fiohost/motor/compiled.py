@@ -56,4 +56,4 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return numba.njit(error_model="numpy", _nrt=False)(function)
+    return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)

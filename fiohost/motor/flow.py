@@ -30,16 +30,34 @@ from fiohost.motor.state import (
     WINDING,
 )
 
+SAME_TIME_S = 1e-12
+
 
 @inlined
-def flow(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
-    """Angle turned and speed after dt under a constant net torque; ``emf`` says that the back-emf is not in it."""
+def decay(state, slot, dt, tau):  # type: ignore[no-untyped-def]
+    """expm1(-dt / tau), remembered in a slot; times on a grid differ in their last digits, which is no difference."""
+    if abs(dt - state[slot]) > SAME_TIME_S or tau != state[slot + 1]:
+        state[slot], state[slot + 1], state[slot + 2] = dt, tau, expm1(-dt / tau)
+    return state[slot + 2]
+
+
+@inlined
+def flow_by(omega, net, emf, gain, tau, dt, fallen):  # type: ignore[no-untyped-def]
+    """Angle turned and speed after dt under a constant net torque, with ``fallen = expm1(-dt / tau)``; ``emf`` says
+    that the back-emf is not in the torque.
+    """
     if emf:
         steady = gain * net
-        change = (omega - steady) * expm1(-dt / tau)
+        change = (omega - steady) * fallen
         return steady * dt - tau * change, omega + change
     rate = gain * net / tau
     return (omega + 0.5 * rate * dt) * dt, omega + rate * dt
+
+
+@inlined
+def flow(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
+    """``flow_by`` for a span that is no usual one."""
+    return flow_by(omega, net, emf, gain, tau, dt, expm1(-dt / tau) if emf else 0.0)
 
 
 @inlined

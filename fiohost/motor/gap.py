@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.flow import flow, hold_level, net_torque, plant, relax, settled_current, time_to_rest
+from fiohost.motor.flow import decay, flow, flow_by, hold_level, net_torque, plant, relax, settled_current, time_to_rest
 from fiohost.motor.hooks import torque
 from fiohost.motor.rigid import MAX_EVENTS
-from fiohost.motor.state import CONTACT, GAP, LOAD_OMEGA, LOAD_THETA, OMEGA, SHARE, STANDBY, THETA
+from fiohost.motor.state import (
+    CONTACT,
+    GAP,
+    HALF_DECAY,
+    LOAD_OMEGA,
+    LOAD_THETA,
+    OMEGA,
+    SHARE,
+    STANDBY,
+    STEP_DECAY,
+    THETA,
+)
 
 
 @inlined
@@ -80,7 +91,8 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
             net = net_torque(theta, omega, time, duty, direction, mode, False, False, gain, grip, state, p, on)
             if substep > 0.0:
                 rate = tau if contact != 0.0 else tau * (1.0 - share)
-                half, middle = flow(omega, net, emf, gain, rate, 0.5 * dt)
+                fallen = decay(state, HALF_DECAY, 0.5 * dt, rate) if emf else 0.0
+                half, middle = flow_by(omega, net, emf, gain, rate, 0.5 * dt, fallen)
                 if middle * direction < 0.0:
                     middle = 0.0
                 at = time + 0.5 * dt
@@ -102,7 +114,8 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
         if direction == 0.0:
             turn, after = 0.0, 0.0
         else:
-            turn, after = flow(omega, net, emf, gain, rate, dt)
+            fallen = decay(state, STEP_DECAY, dt, rate) if emf else 0.0
+            turn, after = flow_by(omega, net, emf, gain, rate, dt, fallen)
             if after * direction <= 0.0:
                 if omega == 0.0:
                     turn, after = 0.0, 0.0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.flow import flow, hold_level, net_torque, plant, relax, settled_current, time_to_rest
+from fiohost.motor.flow import decay, flow, flow_by, hold_level, net_torque, plant, relax, settled_current, time_to_rest
 from fiohost.motor.hooks import torque
 from fiohost.motor.state import (
     BREAKAWAY,
     BRISTLE,
     BRISTLE_ON,
     CURRENT,
+    HALF_DECAY,
     LAG,
     LAG_ON,
     LOAD_THETA,
@@ -17,6 +18,7 @@ from fiohost.motor.state import (
     SMALLEST_BREAKAWAY,
     SMALLEST_LAG_S,
     STANDBY,
+    STEP_DECAY,
     STOP,
     STOP_ON,
     THETA,
@@ -58,7 +60,8 @@ def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignor
         net = net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain, grip, state, p, on)
         middle = omega
         if substep > 0.0:
-            half, middle = flow(omega, net, emf, gain, tau, 0.5 * dt)
+            fallen = decay(state, HALF_DECAY, 0.5 * dt, tau) if emf else 0.0
+            half, middle = flow_by(omega, net, emf, gain, tau, 0.5 * dt, fallen)
             if middle * direction < 0.0 and not (bristle and omega == 0.0):
                 middle = 0.0
             kept, was = state[CURRENT], state[BRISTLE]
@@ -67,7 +70,8 @@ def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignor
                 theta + half, middle, time + 0.5 * dt, duty, direction, mode, lagged, bristle, gain, grip, state, p, on
             )
             state[CURRENT], state[BRISTLE] = kept, was
-        turn, after = flow(omega, net, emf, gain, tau, dt)
+        fallen = decay(state, STEP_DECAY, dt, tau) if emf else 0.0
+        turn, after = flow_by(omega, net, emf, gain, tau, dt, fallen)
         if after * direction <= 0.0 and not (bristle and omega == 0.0):
             if omega == 0.0:
                 relax(state, 0.0, 0.0, time, duty, mode, lagged, bristle, gain, dt, p, on)

@@ -10,7 +10,18 @@ import numpy as np
 from fiohost.motor import kernel
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
-from fiohost.motor.state import BACKLASH, CONTACT, GAP, LOAD_OMEGA, LOAD_THETA, OMEGA, SIDE, STATE_SIZE, THETA
+from fiohost.motor.state import (
+    BACKLASH,
+    CONTACT,
+    GAP,
+    LOAD_OMEGA,
+    LOAD_THETA,
+    OMEGA,
+    SIDE,
+    STATE_SIZE,
+    THETA,
+    WORK_SIZE,
+)
 
 _SIDE = effect("backlash").parameter("side")
 
@@ -81,7 +92,7 @@ def run(
         excitation.clock_s,
         first,
         last,
-        state.copy(),
+        np.concatenate((state, np.zeros(WORK_SIZE - STATE_SIZE))),
         substep_s,
         p,
         on,

@@ -5,17 +5,19 @@ from __future__ import annotations
 from math import pi
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.flow import flow, hold_level, net_torque, plant, relax, settled_current, time_to_rest
+from fiohost.motor.flow import decay, flow, flow_by, hold_level, net_torque, plant, relax, settled_current, time_to_rest
 from fiohost.motor.hooks import torque
 from fiohost.motor.rigid import MAX_EVENTS
 from fiohost.motor.state import (
     DAMPING,
+    HALF_DECAY,
     LOAD_OMEGA,
     LOAD_THETA,
     OMEGA,
     RESONANCE,
     SPRING_SHARE,
     STANDBY,
+    STEP_DECAY,
     THETA,
 )
 
@@ -52,7 +54,8 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
         turn, after, half, middle = 0.0, 0.0, 0.0, 0.0
         if not stuck:
             net = net_torque(theta, omega, time, duty, direction, mode, False, False, gain, grip, state, p, on) - twist
-            half, middle = flow(omega, net, emf, gain, own, 0.5 * dt)
+            fallen = decay(state, HALF_DECAY, 0.5 * dt, own) if emf else 0.0
+            half, middle = flow_by(omega, net, emf, gain, own, 0.5 * dt, fallen)
             if middle * direction < 0.0:
                 middle = 0.0
         load_middle = load_omega + 0.5 * dt * gain * twist / other
@@ -63,7 +66,8 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
                 theta + half, middle, time + 0.5 * dt, duty, direction, mode, False, False, gain, grip, state, p, on
             )
             net -= twist
-            turn, after = flow(omega, net, emf, gain, own, dt)
+            fallen = decay(state, STEP_DECAY, dt, own) if emf else 0.0
+            turn, after = flow_by(omega, net, emf, gain, own, dt, fallen)
             if after * direction <= 0.0:
                 if omega == 0.0:
                     turn = 0.0

@@ -10,6 +10,11 @@ from fiohost.motor.hooks import EFFECT_INDEX
 THETA, OMEGA, LOAD_THETA, LOAD_OMEGA, CONTACT, CURRENT, BRISTLE, WINDING, BEARING = range(9)
 STATE_SIZE = 9
 
+# Behind the state the kernel remembers exponentials: most steps are as long as the one before. Each slot of three
+# numbers holds a span, a time constant and expm1(-span / time constant).
+STEP_DECAY, HALF_DECAY, OTHER_DECAY = STATE_SIZE, STATE_SIZE + 3, STATE_SIZE + 6
+WORK_SIZE = STATE_SIZE + 9
+
 BRAKE = 2
 DRIVE = 1
 STANDBY = 0

@@ -14,7 +14,7 @@ EFFECTS = (
         equation="current = (duty - emf) / (1 + rise_ratio * h); dh/dt = ((current / stall)**2 - h) / time_constant",
         acts_on="current",
         stage=35,
-        substep_s=0.00125,
+        substep_s=0.0025,
         signature="gain falls after loaded phases and recovers at rest",
         parameters=(
             Parameter("rise_ratio", "", 0.5, 0.0, 20.0, step=1e-3),

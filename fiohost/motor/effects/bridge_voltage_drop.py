@@ -18,7 +18,7 @@ EFFECTS = (
         equation="current = duty - emf - drop * sgn(current); none while |duty - emf| <= drop",
         acts_on="current",
         stage=20,
-        substep_s=0.00125,
+        substep_s=0.0025,
         commonness=3,
         signature="like dry friction while driving, the other way round while braking by the motor",
         parameters=(Parameter("drop_pct", "%", 2.0, 0.0, 50.0),),

@@ -15,7 +15,7 @@ EFFECTS = (
         summary="ripple N times a turn",
         equation="load = level * sin(order * theta + phase)",
         acts_on="torque",
-        substep_s=0.00125,
+        substep_s=0.0025,
         angle_bound=True,
         signature="a line in the spectrum over the angle; its effect on the position falls with speed squared",
         parameters=(

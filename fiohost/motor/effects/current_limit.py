@@ -14,7 +14,7 @@ EFFECTS = (
         equation="current = clip(duty - emf, -limit, limit)",
         acts_on="current",
         stage=40,
-        substep_s=0.00125,
+        substep_s=0.0025,
         commonness=4,
         signature="the first moments of large steps and reversals are slower, steady speeds are not",
         parameters=(Parameter("limit_pct", "%", 70.0, 2.0, 200.0, neutral=200.0),),

@@ -15,7 +15,7 @@ EFFECTS = (
         summary="eccentric weight, once a turn",
         equation="load = level * sin(theta + phase)",
         acts_on="torque",
-        substep_s=0.00125,
+        substep_s=0.0025,
         angle_bound=True,
         signature="missing torque once a turn, the same curve in both directions",
         parameters=(

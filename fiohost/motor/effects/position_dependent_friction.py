@@ -16,7 +16,7 @@ EFFECTS = (
         equation="friction = level * (1 + ratio * sin(order * theta + phase))",
         acts_on="friction",
         stage=20,
-        substep_s=0.00125,
+        substep_s=0.0025,
         commonness=6,
         angle_bound=True,
         signature="missing torque over the turn that changes sign with direction",

@@ -8,7 +8,7 @@ EFFECTS = (
         summary="a stiff spring before break-away (Dahl, LuGre)",
         equation="friction = level * z / breakaway; dz/dt = omega - |omega| z / breakaway",
         acts_on="structure",
-        substep_s=0.0005,
+        substep_s=0.00125,
         commonness=6,
         signature="springy motion of a few counts at reversals and below break-away",
         parameters=(Parameter("breakaway_deg", "deg", 0.5, 0.0, 30.0, step=0.01),),

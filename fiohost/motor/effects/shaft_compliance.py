@@ -8,7 +8,7 @@ EFFECTS = (
         summary="springy coupling to a second inertia",
         equation="two inertias, resonance (2 pi f)**2 = k / (J r (1 - r)), relative damping, r the share of the load",
         acts_on="structure",
-        substep_s=0.0005,
+        substep_s=0.001,
         signature="ringing of fixed frequency after steps",
         parameters=(
             Parameter("resonance_hz", "Hz", 12.0, 1.0, 80.0, neutral=None, step=1e-3, relative_step=True),

@@ -21,7 +21,7 @@ EFFECTS = (
         equation="friction = level + extra * exp(-(|omega| / stribeck_speed)**n), n = 1 exponential, 2 gaussian",
         acts_on="friction",
         stage=10,
-        substep_s=0.00125,
+        substep_s=0.0025,
         signature="missing torque that falls as the speed rises; stick-slip at slow speeds",
         parameters=(
             Parameter("extra_pct", "%", 2.0, 0.0, 50.0),

@@ -15,7 +15,7 @@ EFFECTS = (
         equation="current = (duty - emf) / (1 + ratio * (duty / 100 %)**2): the source feeds only the duty's share",
         acts_on="current",
         stage=30,
-        substep_s=0.00125,
+        substep_s=0.005,
         commonness=4,
         signature="large steps are slower, steady speeds hardly",
         parameters=(Parameter("ratio", "", 0.1, 0.0, 5.0, step=1e-4),),
