@@ -40,7 +40,10 @@ def number(value: Any, key: str, where: str, lower: float, upper: float) -> floa
     """A finite number within its limits."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise FirmwareModelError(f"{where}: {key} must be a number, not {value!r}")
-    result = float(value)
+    try:
+        result = float(value)
+    except OverflowError:
+        raise FirmwareModelError(f"{where}: {key} is a whole number of hundreds of digits") from None
     if not math.isfinite(result):
         raise FirmwareModelError(f"{where}: {key} must be finite, not {value}")
     if result < lower:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import random
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from fiohost.bench.connect import connect
@@ -79,3 +81,25 @@ def plant_file(
     path = folder / "plant.toml"
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def _between(rng: random.Random, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+# Six kinds of effect at sizes that show, torques in N m against a stall torque of about 0.5.
+KINDS: Mapping[str, Callable[[random.Random], dict[str, float | str]]] = {
+    "backlash": lambda r: {"gap_deg": _between(r, 1.0, 6.0), "side": "encoder_after_gap"},
+    "constant_load": lambda r: {"torque_Nm": r.choice((-1.0, 1.0)) * _between(r, 0.003, 0.03)},
+    "gravity_load": lambda r: {"torque_Nm": _between(r, 0.006, 0.04), "phase_deg": r.uniform(0.0, 360.0)},
+    "input_deadband": lambda r: {"level_pct": _between(r, 1.5, 12.0)},
+    "transport_delay": lambda r: {"delay_s": _between(r, 0.004, 0.045)},
+    "voltage_saturation": lambda r: {"limit_pct": r.uniform(35.0, 75.0)},
+}
+
+
+def one_effect_plant(folder: Path, kind: str, seed: int) -> Path:
+    """A plant file with one effect of a kind at a size drawn by the seed, on a motor drawn too."""
+    rng = random.Random(f"{kind} {seed}")
+    motor = {"J_kgm2": _between(rng, 1.7e-3, 6e-3), "coulomb_Nm": _between(rng, 0.006, 0.03)}
+    return plant_file(folder, motor, {kind: KINDS[kind](rng)})

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import struct
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from firmware_model import FirmwareModelError, draw, load_plant, reveal
+from firmware_model import Board, FirmwareModelError, draw, load_plant, reveal
 from firmware_model.plants import make_plant
 from firmware_model.registry import effects
+from firmware_model.sealed import ALIKE, EFFECTS, SHARES
 
 GOOD = "supply_V = 9.0\nR_ohm = 5.5\nKt_Nm_per_A = 0.34\nKe_Vs_per_rad = 0.487\nJ_kgm2 = 3e-3\n"
 
@@ -34,6 +38,26 @@ GOOD = "supply_V = 9.0\nR_ohm = 5.5\nKt_Nm_per_A = 0.34\nKe_Vs_per_rad = 0.487\n
         (GOOD + "effects = 3\n", ["effects"]),
         (GOOD + "schema = 'other/1'\n", ["schema", "other/1"]),
         ("R_ohm = = 3\n", ["TOML"]),
+        (GOOD.replace("9.0", "1e300"), ["supply_V", "1000"]),
+        (GOOD.replace("5.5", "1" * 400), ["R_ohm", "digits"]),
+        (GOOD.replace("5.5", "0x" + "f" * 5000), ["R_ohm", "digits"]),
+        (GOOD.replace("5.5", "1" * 5000), ["TOML"]),
+        (GOOD + "effects = " + "[" * 3000 + "]" * 3000, ["TOML"]),
+        (GOOD.replace("3e-3", "1e-300"), ["J_kgm2", "least"]),
+        (GOOD + "counts_per_rev = 719.5\n", ["counts_per_rev", "whole"]),
+        (GOOD + "pull_ups = 1\n", ["pull_ups", "true or false"]),
+        (GOOD + "pullups = false\n", ["pullups", "pull_ups"]),
+        (GOOD + "watchdog = true\n", ["[watchdog]", "table"]),
+        (GOOD + "[watchdog]\ntimeout_ms = 100\n", ["timeout_ms", "wrong unit", "timeout_s"]),
+        (GOOD + "[watchdog]\ntimeout_s = -1\n", ["timeout_s", "-1"]),
+        (GOOD + "[thermal_shutdown]\nopen_C = 100\n", ["open_C", "opens_C"]),
+        (GOOD + "[thermal_shutdown]\nhysteresis_K = nan\n", ["hysteresis_K", "finite"]),
+        (GOOD + "[faults]\nreport_dropped_ratio = 0.1\n", ["report_dropped_ratio", "report_drop_ratio"]),
+        (GOOD + "[faults]\nreport_drop_ratio = 1.5\n", ["report_drop_ratio", "1.5"]),
+        (GOOD + "[faults]\nreset_at_s = inf\n", ["reset_at_s", "finite"]),
+        (GOOD + "[faults]\ndirection = 'up'\n", ["direction", "to_host", "up"]),
+        (GOOD + "[faults]\nsupply_lost_at_s = 3\nsupply_back_at_s = 2\n", ["supply_back_at_s", "later"]),
+        (GOOD + "[faults]\nsupply_back_at_s = 2\n", ["supply_back_at_s", "later"]),
     ],
 )
 def test_bad_plant_files_are_refused_by_key_and_reason(tmp_path: Path, text: str, said: list[str]) -> None:
@@ -62,9 +86,10 @@ def _base() -> dict[str, float]:
     return {"supply_V": 9.0, "R_ohm": 5.5, "Kt_Nm_per_A": 0.34, "Ke_Vs_per_rad": 0.487, "J_kgm2": 3e-3}
 
 
-def test_sealed_draws_are_wide_repeatable_and_have_one_effect() -> None:
-    met = set()
-    for seed in range(300):
+def test_sealed_draws_are_wide_repeatable_and_have_no_effect_one_or_two() -> None:
+    met: Counter[str] = Counter()
+    counts: Counter[int] = Counter()
+    for seed in range(1000):
         plant = draw(seed)
         assert plant == draw(seed)
         assert plant.name == "sealed"
@@ -72,28 +97,60 @@ def test_sealed_draws_are_wide_repeatable_and_have_one_effect() -> None:
         assert 6.0 <= plant.gain_deg_s_per_pct <= 16.0
         assert 0.040 <= plant.tau_s <= 0.150
         assert 1.0 <= plant.percent_of_torque(plant.coulomb_Nm) <= 6.0
-        (effect,) = plant.effects
-        met.add(effect)
-    assert met == {
-        "backlash",
-        "constant_load",
-        "gravity_load",
-        "input_deadband",
-        "transport_delay",
-        "voltage_saturation",
-    }
+        assert not any(set(plant.effects) == alike for alike in ALIKE)
+        assert plant.faults is None
+        met.update(list(plant.effects))
+        counts[len(plant.effects)] += 1
+    assert set(met) == set(EFFECTS)
+    assert min(met.values()) > 20
+    for count, share in SHARES.items():
+        assert counts[count] / 10.0 == pytest.approx(share, abs=5.0)  # of a hundred; five are 3 standard deviations
+    assert set(counts) == set(SHARES)
+
+
+def test_sealed_sizes_go_from_faint_to_plain() -> None:
+    sizes = [draw(seed).reduced().get("constant_load", {}).get("level_pct") for seed in range(3000)]
+    known = sorted(abs(size) for size in sizes if size is not None)
+    assert known[0] < 0.5
+    assert known[-1] > 4.0
+
+
+def test_sealed_faults_come_on_request_and_leave_plant_and_effects_as_they_are() -> None:
+    kinds = set()
+    for seed in range(200):
+        plant = draw(seed, faulty=True)
+        assert plant == draw(seed, faulty=True)
+        assert replace(plant, faults=None) == draw(seed)
+        found = reveal(seed)["faults"]
+        assert found
+        assert plant.faults is not None
+        assert all(plant.faults[key] == value for key, value in found.items())
+        kinds |= set(found)
+    assert {"report_drop_ratio", "report_cut_ratio", "clock_ppm", "tick_jitter_s"} <= kinds
 
 
 def test_reveal_tells_the_truth_in_words_si_and_percent() -> None:
-    for seed in range(30):
+    for seed in range(60):
         plant, truth = draw(seed), reveal(seed)
-        (effect,) = plant.effects
-        assert truth["effects"] == [effect]
+        assert truth["effects"] == list(plant.effects)
         assert truth["si"]["R_ohm"] == plant.R_ohm
-        assert truth["si"]["effects"][effect] == plant.effects[effect]
+        assert truth["si"]["effects"] == {name: dict(values) for name, values in plant.effects.items()}
         assert truth["reduced"]["linear"]["tau_s"] == plant.tau_s
-        assert any(effect in sentence for sentence in truth["truth"])
-        assert set(truth["reduced"]) == {"linear", "coulomb_friction", effect}
+        assert len(truth["truth"]) == 1 + len(plant.effects)
+        assert all(any(name in sentence for sentence in truth["truth"]) for name in plant.effects)
+        assert set(truth["reduced"]) == {"linear", "coulomb_friction", *plant.effects}
+
+
+def test_every_sealed_effect_makes_a_board_that_runs() -> None:
+    left, seed = set(EFFECTS), 0
+    while left:
+        plant = draw(seed)
+        if left & set(plant.effects):
+            board = Board(plant, seed=seed)
+            for k in range(60):
+                board.step(struct.pack("<fBB58x", 70.0, k // 30, 1 - k // 30))
+            left -= set(plant.effects)
+        seed += 1
 
 
 def test_every_effect_says_what_it_is() -> None:
