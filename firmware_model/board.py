@@ -20,13 +20,14 @@ class Board:
 
     ``seed`` draws what nobody can know of a bench before it moves: the shaft's angle within its first count and the
     place of the gears in their play. Without a seed the shaft starts in the middle of its count and of the play.
+    ``pwm`` ("averaged" or "edge_resolved") takes the place of the plant's own key.
     """
 
-    def __init__(self, plant: Plant, *, seed: int | None = None) -> None:
+    def __init__(self, plant: Plant, *, seed: int | None = None, pwm: str | None = None) -> None:
         rng = random.Random(f"start {seed}") if seed is not None else None
         within_count = rng.random() if rng else 0.5
         within_gap = rng.random() if rng else 0.5
-        self._motor = Motor(plant, within_count=within_count, within_gap=within_gap)
+        self._motor = Motor(plant, within_count=within_count, within_gap=within_gap, pwm=pwm)
         self._counts_per_rev = plant.counts_per_rev
         self._pull_ups = plant.pull_ups
         self._watchdog_s = plant.watchdog["timeout_s"] if plant.watchdog else None

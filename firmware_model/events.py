@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from firmware_model.circuit import sign
 from firmware_model.compiled import part
 from firmware_model.layout import (
     BODIES,
@@ -30,7 +31,7 @@ from firmware_model.physics import (
     one_torque,
     two_torques,
 )
-from firmware_model.winding import current_broken, settle_flow, sign
+from firmware_model.winding import current_broken, settle_flow
 
 L, KT, HALF_GAP, STIFFNESS = int(C.L), int(C.KT), int(C.HALF_GAP), int(C.STIFFNESS)
 FAST = int(C.FAST)
@@ -73,8 +74,12 @@ def parting(time, y, m, duty, effort, p, on):  # type: ignore[no-untyped-def]
 @part
 def broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Whether the state has gone beyond an event."""
-    if current_broken(time, y, m, duty, p, on):
-        return True
+    return current_broken(time, y, m, duty, p, on) or body_broken(time, y, m, duty, p, on)
+
+
+@part
+def body_broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Whether the bodies have gone beyond an event."""
     side = m[SIDE]
     if side != 0 and y[OMEGA] * side < 0.0:
         return True

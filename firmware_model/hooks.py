@@ -9,6 +9,22 @@ from firmware_model.compiled import part
 from firmware_model.layout import FIRST_EFFECT, OWN
 from firmware_model.registry import effects, index_of
 
+# Kinds of hooks an effect can have; all but the first two act on the physics.
+HOOKS = (
+    "command",
+    "measure",
+    "voltage",
+    "resistance",
+    "drop",
+    "ceiling",
+    "motor_torque",
+    "load_torque",
+    "friction",
+    "breakaway",
+    "inertia",
+    "rate",
+)
+
 
 @cache
 def offsets() -> dict[str, int]:

@@ -2,64 +2,37 @@
 
 from __future__ import annotations
 
-import math
-
+from firmware_model.circuit import DRIVEN, STANDBY
 from firmware_model.compiled import entry, part
+from firmware_model.edges import run_edges
+from firmware_model.encoder import follow, read_encoder
 from firmware_model.events import settle
-from firmware_model.hooks import command, measure
+from firmware_model.hooks import command
 from firmware_model.layout import (
-    BODIES,
     COUNT,
     CURRENT,
-    DIRECTION,
     DUTY,
-    EDGES,
     FLOW,
     HEAD,
-    LOAD_THETA,
-    LOST,
     LOST_WAY,
+    MEAN,
     MODE,
     OMEGA,
+    PHASE,
     QUEUE,
     STEPS,
-    THETA,
     TIME,
     WAITING,
     C,
 )
-from firmware_model.physics import CEASING, DRIVEN, STANDBY, electrical
+from firmware_model.physics import CEASING, electrical
 from firmware_model.stepper import advance_step
 
-HALF_GAP, AFTER, DELAY = int(C.HALF_GAP), int(C.AFTER), int(C.DELAY)
+DELAY = int(C.DELAY)
 R, L, KE = int(C.R), int(C.L), int(C.KE)
 MOST_STEPS = 200_000  # in one hold; usual are one to ten
 FAST, CHANGED = int(C.FAST), int(C.CHANGED)
-QUANTUM, CHANGE_AT, ANGLE_ZERO, SHARE_LOST = int(C.QUANTUM), int(C.CHANGE_AT), int(C.ANGLE_ZERO), int(C.SHARE_LOST)
-
-
-@part
-def read_encoder(y, r, m, p, on):  # type: ignore[no-untyped-def]
-    """Follow the edges since the last look; between two looks the disc has turned one way only.
-
-    ``r[EDGES]`` is the true count of edges so far, ``m[COUNT]`` what the counter made of them.
-    """
-    angle = y[LOAD_THETA] if p[AFTER] > 0.0 else y[THETA]
-    edges = math.floor(measure(angle, p, on) / p[QUANTUM]) - p[ANGLE_ZERO]
-    passed = edges - r[EDGES]
-    if passed == 0.0:
-        return
-    r[EDGES] = edges
-    if p[SHARE_LOST] > 0.0:
-        # Every edge adds its share to the loss; a whole one is not counted.
-        r[LOST] += abs(passed) * p[SHARE_LOST]
-        missed = min(math.floor(r[LOST]), abs(passed))
-        r[LOST] -= missed
-        passed -= math.copysign(missed, passed)
-        if passed == 0.0:
-            return
-    m[COUNT] += int(passed)
-    m[DIRECTION] = 0 if passed > 0.0 else 1
+CHANGE_AT = int(C.CHANGE_AT)
 
 
 @part
@@ -73,8 +46,7 @@ def run_until(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
             r[TIME] = until
             return
         fresh = advance_step(y, r, m, w, until, p, on, r[DUTY], fresh)
-        if m[BODIES] == 1 and p[HALF_GAP] > 0.0:
-            y[LOAD_THETA] = min(max(y[LOAD_THETA], y[THETA] - p[HALF_GAP]), y[THETA] + p[HALF_GAP])
+        follow(y, m, p)
         read_encoder(y, r, m, p, on)
 
 
@@ -116,8 +88,11 @@ def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped
         if r[TIME] < p[CHANGE_AT]:
             until = min(until, p[CHANGE_AT])
         p[CHANGED] = 1.0 if r[TIME] >= p[CHANGE_AT] else 0.0
-        settle(r[TIME], y, m, r[DUTY], p, on)
-        run_until(y, r, m, w, until, p, on)
+        if m[PHASE] != MEAN:
+            run_edges(y, r, m, w, until, p, on)
+        else:
+            settle(r[TIME], y, m, r[DUTY], p, on)
+            run_until(y, r, m, w, until, p, on)
 
 
 @entry

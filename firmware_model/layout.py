@@ -11,7 +11,12 @@ THETA, OMEGA, CURRENT, LOAD_THETA, LOAD_OMEGA, SLIP, OWN = range(7)
 # current where that matters (0: blocked, 2: ceasing within each pulse), STOPPED 1 while resting on an end of travel.
 SIDE, LOAD_SIDE, CONTACT, FLOW, STOPPED, MODE, BODIES, STATES = range(8)
 COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS, LOST_WAY = range(8, 15)
-SWITCHES = 16
+# PHASE is the part of the PWM period: its mean, or where edges are resolved, on or off. PLAIN is 1 where no effect acts
+# on the motor's physics, STIFF 1 where a segment is too long for one step, FOLDED 1 where the disc's angle turns back
+# in a motion that does not.
+PHASE, PLAIN, STIFF, FOLDED = range(15, 19)
+SWITCHES = 19
+MEAN, ON, OFF = range(3)
 
 # r: reals of the clockwork.
 TIME, DUTY, STRIDE, LOST, EDGES = range(5)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from firmware_model.circuit import PERIOD_S
 from firmware_model.errors import FirmwareModelError
-from firmware_model.hooks import offsets, parameter_count, state_count
+from firmware_model.hooks import HOOKS, offsets, parameter_count, state_count
 from firmware_model.kernel import meters, run, run_many
 from firmware_model.layout import (
     BODIES,
@@ -18,27 +19,37 @@ from firmware_model.layout import (
     EDGES,
     EVENTS,
     FLOW,
+    FOLDED,
     LOAD_THETA,
     LOST_WAY,
+    MEAN,
+    OFF,
     OWN,
+    PHASE,
+    PLAIN,
     QUEUE,
     REALS,
     SLIP,
     STATES,
     STEPS,
+    STIFF,
     STRIDE,
     SWITCHES,
     THETA,
     TIME,
     C,
 )
-from firmware_model.plants import Plant
+from firmware_model.linear import ROW
+from firmware_model.periods import WORK_ROWS
+from firmware_model.plants import PWM, Plant, check_pwm
 from firmware_model.registry import effects, index_of
 
 FloatArray = npt.NDArray[np.float64]
 
 # A winding faster than this is better described by none (L_H = 0): the integration would only creep.
 FASTEST_WINDING_S = 2e-5
+# Of the fastest motion in one PWM period; the steps' error in its frequency is a 24th of the square.
+STIFF_RADIANS = 0.03
 
 
 def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
@@ -73,11 +84,56 @@ def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
     return p, on
 
 
-class Motor:
-    """A motor at rest at power-on; ``within_count`` and ``within_gap`` (0..1) place it in its count and its play."""
+def is_plain(plant: Plant) -> bool:
+    """Whether no effect but those on the command and on the encoder acts: the motor is linear but for its friction."""
+    quiet = {"command", "measure"}
+    structures = {"armature_inductance", "missed_counts", "transport_delay"}
+    for name in plant.effects:
+        effect = effects()[name]
+        acting = {kind for kind in HOOKS if getattr(effect, kind) is not None}
+        if acting - quiet or (effect.structure is not None and name not in structures):
+            return False
+    return True
 
-    def __init__(self, plant: Plant, *, within_count: float = 0.5, within_gap: float = 0.5) -> None:
+
+def is_folded(plant: Plant) -> bool:
+    """Whether the disc's error is so steep that its angle turns back while the shaft does not."""
+    disc = plant.effects.get("encoder_eccentricity")
+    return disc is not None and disc["level_rad"] * disc["order"] >= 1.0
+
+
+def is_stiff(plant: Plant, p: FloatArray) -> bool:
+    """Whether a spring or a bristle is too fast for one step in a segment of the PWM."""
+    inverse = 1.0 / (plant.J_kgm2 - p[C.LOAD_J]) + (1.0 / p[C.LOAD_J] if p[C.LOAD_J] else 0.0)
+    fastest = math.sqrt(p[C.STIFFNESS] * inverse) + p[C.DAMPING] * inverse
+    if p[C.DEFLECTION]:
+        level = plant.coulomb_Nm + sum(
+            float(value)
+            for name, values in plant.effects.items()
+            if effects()[name].friction is not None
+            for key, value in values.items()
+            if key.endswith("_Nm")
+        )
+        fastest += math.sqrt(level / p[C.DEFLECTION] * inverse)
+    return bool(fastest * PERIOD_S > STIFF_RADIANS)
+
+
+class Motor:
+    """A motor at rest at power-on; ``within_count`` and ``within_gap`` (0..1) place it in its count and its play.
+
+    ``pwm`` ("averaged" or "edge_resolved") takes the place of the plant's own key.
+    """
+
+    def __init__(
+        self, plant: Plant, *, within_count: float = 0.5, within_gap: float = 0.5, pwm: str | None = None
+    ) -> None:
         p, on = constants(plant)
+        resolved = plant.pwm if pwm is None else check_pwm(pwm, f"plant {plant.name!r}")
+        if resolved != PWM[0] and p[C.L] <= 0.0:
+            raise FirmwareModelError(
+                f"plant {plant.name!r}: pwm = {resolved!r} needs a winding with inductance; give L_H or "
+                "armature_inductance (a winding without any is served by 'averaged')"
+            )
         y = np.zeros(state_count())
         m = np.zeros(SWITCHES, np.int64)
         r = np.zeros(REALS)
@@ -90,10 +146,12 @@ class Motor:
         m[BODIES] = 2 if p[C.LOAD_J] > 0.0 else 1
         m[STATES] = self._states_needed(plant, p)
         m[FLOW] = 1
+        m[PHASE] = MEAN if resolved == PWM[0] else OFF
+        m[PLAIN], m[STIFF], m[FOLDED] = is_plain(plant), is_stiff(plant, p), is_folded(plant)
         r[STRIDE] = 0.001
         self._y, self._r, self._m, self._p, self._on = y, r, m, p, on
         self._queue = np.zeros((3, QUEUE))
-        self._work = np.zeros((9, state_count()))
+        self._work = np.zeros((WORK_ROWS, max(state_count(), ROW)))
         run(*self._arrays(), 0, 0.0, 0.0)  # compiled here, not in the first task step
         first = float(y[LOAD_THETA] if p[C.AFTER] else y[THETA])
         p[C.ANGLE_ZERO] = math.floor(measured(first, p, on) / p[C.QUANTUM])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from firmware_model.circuit import DRIVEN, PERIOD_S, STANDBY, phase_electrical
 from firmware_model.compiled import part
 from firmware_model.hooks import (
     breakaway,
@@ -29,9 +30,11 @@ from firmware_model.layout import (
     LOAD_OMEGA,
     LOAD_SIDE,
     LOAD_THETA,
+    MEAN,
     MODE,
     OMEGA,
     OWN,
+    PHASE,
     SIDE,
     SLIP,
     STATES,
@@ -44,9 +47,7 @@ COULOMB, SUPPLY, EXTERNAL = int(C.COULOMB), int(C.SUPPLY), int(C.EXTERNAL)
 LOAD_J, LOAD_COULOMB, HALF_GAP = int(C.LOAD_J), int(C.LOAD_COULOMB), int(C.HALF_GAP)
 STIFFNESS, DAMPING, DEFLECTION = int(C.STIFFNESS), int(C.DAMPING), int(C.DEFLECTION)
 FAST, DIODE = int(C.FAST), int(C.DIODE)
-STANDBY, DRIVEN = 0, 1
 CEASING = 2
-PERIOD_S = 50e-6  # 20 kHz
 
 
 @part
@@ -110,6 +111,8 @@ def pressure(time, y, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def electrical(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Current in A and its rate in A/s. Without inductance the current follows at once and has no rate."""
+    if m[PHASE] != MEAN:
+        return phase_electrical(time, y, m, duty, p, on)
     theta, omega = y[THETA], y[OMEGA]
     if m[MODE] == STANDBY:
         if p[L] <= 0.0 or m[FLOW] == 0:
@@ -229,7 +232,12 @@ def rates(time, y, dy, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Rates of the whole state, into ``dy``."""
     current, change = electrical(time, y, m, duty, p, on)
     dy[CURRENT] = change
-    effort = p[KT] * current
+    mechanical(time, y, dy, m, duty, p[KT] * current, p, on)
+
+
+@part
+def mechanical(time, y, dy, m, duty, effort, p, on):  # type: ignore[no-untyped-def]
+    """Rates of all but the current, into ``dy``, for a motor torque ``effort``."""
     side = float(m[SIDE])
     motor_j, load_j = inertias(time, y, duty, p, on)
     opposed = dry(time, y, side, effort, duty, p, on)

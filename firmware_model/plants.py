@@ -35,7 +35,8 @@ OPTIONS = {  # tables of the board: each is there or not
     "thermal_shutdown": thermal.PARAMETERS,
     "faults": faults.PARAMETERS,
 }
-KEYS = (*(q.key for q in MOTOR), *OPTIONS, "name", "source", "counts_per_rev", "pull_ups", "effects", "schema")
+KEYS = (*(q.key for q in MOTOR), *OPTIONS, "name", "source", "counts_per_rev", "pull_ups", "pwm", "effects", "schema")
+PWM = ("averaged", "edge_resolved")
 SCHEMA = "firmware_model.plant/1"
 
 
@@ -63,6 +64,7 @@ class Plant:
     watchdog: Mapping[str, Any] | None = None
     thermal_shutdown: Mapping[str, Any] | None = None
     faults: Mapping[str, Any] | None = None
+    pwm: str = PWM[0]
 
     def percent_of_torque(self, torque_Nm: float) -> float:
         """The duty in percent whose stall torque balances ``torque_Nm``: 100 T R / (Kt V)."""
@@ -99,6 +101,13 @@ class Plant:
         return result
 
 
+def check_pwm(value: Any, where: str) -> str:
+    """The way in which the PWM is simulated, as in the key ``pwm``."""
+    if not isinstance(value, str) or value not in PWM:
+        raise FirmwareModelError(f"{where}: pwm must be one of {', '.join(PWM)}, not {value!r}")
+    return value
+
+
 def make_plant(table: Mapping[str, Any], name: str) -> Plant:
     """A plant from the tables of its file; ``name`` is used in messages."""
     where = f"plant {name!r}"
@@ -119,6 +128,7 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
     pull_ups = table.get("pull_ups", True)
     if not isinstance(pull_ups, bool):
         raise FirmwareModelError(f"{where}: pull_ups must be true or false, not {pull_ups!r}")
+    pwm = check_pwm(table.get("pwm", PWM[0]), where)
     options: dict[str, Any] = {
         key: parameters(_table(table[key], key, where), wanted, f"{where}, [{key}]")
         for key, wanted in OPTIONS.items()
@@ -141,6 +151,7 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
         counts_per_rev=int(counts),
         effects=chosen,
         pull_ups=pull_ups,
+        pwm=pwm,
         **options,
         **motor,
     )
@@ -183,6 +194,6 @@ def load_plant(path_or_name: str | Path) -> Plant:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FirmwareModelError(f"cannot read plant file {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, numbers or nesting beyond all measure
         raise FirmwareModelError(f"plant file {path} is not valid TOML: {error}") from error
     return make_plant(table, path.stem)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
+from firmware_model.circuit import DRIVEN, STANDBY, phase_broken, settle_phase, sign
 from firmware_model.compiled import part
 from firmware_model.hooks import drop
-from firmware_model.layout import CURRENT, FLOW, MODE, OMEGA, THETA, C
-from firmware_model.physics import CEASING, DRIVEN, STANDBY, fast, pressure
+from firmware_model.layout import CURRENT, FLOW, MEAN, MODE, OMEGA, PHASE, THETA, C
+from firmware_model.physics import CEASING, fast, pressure
 
 L, FAST = int(C.L), int(C.FAST)
 SMALL_A = 1e-12
-
-
-@part
-def sign(x):  # type: ignore[no-untyped-def]
-    return 1 if x > 0.0 else (-1 if x < 0.0 else 0)
 
 
 @part
@@ -56,6 +52,9 @@ def settle_fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Which way the current may flow from here on."""
+    if m[PHASE] != MEAN:
+        settle_phase(time, y, m, duty, p, on)
+        return
     if p[FAST] > 0.0 and m[MODE] == DRIVEN:
         settle_fast(time, y, m, duty, p, on)
         return
@@ -75,6 +74,8 @@ def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def current_broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Whether the winding's current has gone beyond an event."""
+    if m[PHASE] != MEAN:
+        return phase_broken(time, y, m, duty, p, on)
     if p[FAST] > 0.0 and m[MODE] == DRIVEN:
         return switched(time, y, m, duty, p, on)
     if p[L] <= 0.0:
