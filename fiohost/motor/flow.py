@@ -1,7 +1,7 @@
 """Closed forms between events, and what the torques are at one moment. Parts of the kernel.
 
 With ``ws = K f`` the speed that a constant net torque ``f`` would reach, ``omega(t) = ws + (omega0 - ws) exp(-t/tau)``.
-Without back-emf (standby, or a current with a lag of its own) the speed grows in a straight line.
+Without back-emf (standby) the speed grows in a straight line.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from fiohost.motor.state import (
     CHANGE_RATIO,
     CHANGE_TIME,
     CHANGE_WHICH,
-    CURRENT,
     GAIN,
     HEATING,
     HEATING_ON,
-    LAG,
     STANDBY,
     TAU,
     WARMING,
@@ -105,15 +103,9 @@ def hold_level(theta, time, drive, direction, state, grip, p, on):  # type: igno
 
 
 @inlined
-def net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain, grip, state, p, on):  # type: ignore[no-untyped-def]
-    """Drive minus loads minus friction, in percent, without the linear back-emf where the current has no lag."""
-    if lagged:
-        drive = state[CURRENT]
-        total = drive
-    else:
-        drive = settled_current(omega, time, duty, mode, gain, state, p, on)
-        total = drive + omega / gain if mode != STANDBY else 0.0
-    total += torque(theta, omega, time, duty, p, on)
+def resistance(theta, omega, time, duty, drive, direction, bristle, grip, state, p, on):  # type: ignore[no-untyped-def]
+    """Loads and friction in percent, negative where they oppose forward motion; ``drive`` is the current's torque."""
+    total = torque(theta, omega, time, duty, p, on)
     level = grip_level(theta, omega, time, drive, direction, state, grip, p, on)
     if bristle:
         return total - level * state[BRISTLE] / p[BREAKAWAY]
@@ -121,16 +113,25 @@ def net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain,
 
 
 @inlined
-def relax(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on):  # type: ignore[no-untyped-def]
-    """Carry the states beside angle and speed over a step that turned the shaft by ``turn`` at about ``omega``."""
-    if lagged:
-        target = settled_current(omega, time, duty, mode, gain, state, p, on)
-        state[CURRENT] = target + (state[CURRENT] - target) * exp(-dt / p[LAG]) if mode != STANDBY else 0.0
-    if bristle and turn != 0.0:
+def net_torque(theta, omega, time, duty, direction, mode, bristle, gain, grip, state, p, on):  # type: ignore[no-untyped-def]
+    """Drive, loads and friction in percent, without the linear back-emf."""
+    drive = settled_current(omega, time, duty, mode, gain, state, p, on)
+    total = drive + omega / gain if mode != STANDBY else 0.0
+    return total + resistance(theta, omega, time, duty, drive, direction, bristle, grip, state, p, on)
+
+
+@inlined
+def deflect(state, turn, p):  # type: ignore[no-untyped-def]
+    """Carry the deflection before sliding over a turn of the shaft (Dahl 1968)."""
+    if turn != 0.0:
         end = p[BREAKAWAY] if turn > 0.0 else -p[BREAKAWAY]
         state[BRISTLE] = end + (state[BRISTLE] - end) * exp(-abs(turn) / p[BREAKAWAY])
+
+
+@inlined
+def relax(state, omega, drive, dt, p, on):  # type: ignore[no-untyped-def]
+    """Carry the warmth of winding and bearings over a step at about ``omega`` under a ``drive`` in percent."""
     if on[HEATING_ON]:
-        drive = state[CURRENT] if lagged else settled_current(omega, time, duty, mode, gain, state, p, on)
         warm = (drive / 100.0) ** 2
         state[WINDING] = warm + (state[WINDING] - warm) * exp(-dt / p[HEATING])
     if on[WARMING_ON]:

@@ -10,6 +10,7 @@ from fiohost.motor.state import (
     CONTACT,
     GAP,
     HALF_DECAY,
+    HEATING_ON,
     LOAD_OMEGA,
     LOAD_THETA,
     OMEGA,
@@ -71,7 +72,7 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
     emf = mode != STANDBY
     theta, omega = state[THETA], state[OMEGA]
     load_theta, load_omega, contact = state[LOAD_THETA], state[LOAD_OMEGA], state[CONTACT]
-    left = span
+    left, push = span, 0.0
     for _ in range(MAX_EVENTS):
         if left <= 0.0:
             break
@@ -88,7 +89,7 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
                 direction = side
         net = 0.0
         if direction != 0.0:
-            net = net_torque(theta, omega, time, duty, direction, mode, False, False, gain, grip, state, p, on)
+            net = net_torque(theta, omega, time, duty, direction, mode, False, gain, grip, state, p, on)
             if substep > 0.0:
                 rate = tau if contact != 0.0 else tau * (1.0 - share)
                 fallen = decay(state, HALF_DECAY, 0.5 * dt, rate) if emf else 0.0
@@ -96,13 +97,11 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
                 if middle * direction < 0.0:
                     middle = 0.0
                 at = time + 0.5 * dt
-                net = net_torque(
-                    theta + half, middle, at, duty, direction, mode, False, False, gain, grip, state, p, on
-                )
+                net = net_torque(theta + half, middle, at, duty, direction, mode, False, gain, grip, state, p, on)
         if contact != 0.0:
             pull = gain * net - (omega if emf else 0.0)
             if direction == 0.0 and omega == 0.0:
-                relax(state, 0.0, 0.0, time, duty, mode, False, False, gain, dt, p, on)
+                relax(state, 0.0, push, dt, p, on)
                 left -= dt
                 time += dt
                 continue
@@ -161,7 +160,9 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
             omega = after
             load_theta = theta - half * contact
             load_omega = omega
-        relax(state, turn, omega, time, duty, mode, False, False, gain, dt, p, on)
+        if on[HEATING_ON]:
+            push = settled_current(omega, time, duty, mode, gain, state, p, on)
+        relax(state, omega, push, dt, p, on)
         left -= dt
         time += dt
     state[THETA] = theta

@@ -15,6 +15,7 @@ import numpy as np
 from fiohost.motor.compiled import compiled
 from fiohost.motor.gap import advance_gap
 from fiohost.motor.hooks import command
+from fiohost.motor.lagged import advance_lagged
 from fiohost.motor.rigid import advance
 from fiohost.motor.spring import advance_spring
 from fiohost.motor.state import (
@@ -24,7 +25,10 @@ from fiohost.motor.state import (
     DELAY,
     DELAY_ON,
     GAP,
+    LAG,
+    LAG_ON,
     SHARE,
+    SMALLEST_LAG_S,
     SMALLEST_SHARE,
     SPRING_ON,
     SPRING_SHARE,
@@ -46,6 +50,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     switch = p[CHANGE_TIME] - clock if on[CHANGE_ON] else -1.0
     two = gap and p[SHARE] >= SMALLEST_SHARE
     play = 0.5 * p[GAP] if gap else 0.0
+    lagged = on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S
     now = times[first]
     j = np.searchsorted(act_times, now - delay, side="right")
     duty = command(duties[j], p, on)
@@ -65,6 +70,8 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
                     advance_gap(state, duty, modes[j], clock + now, until - now, substep, p, on)
                 elif spring:
                     advance_spring(state, duty, modes[j], clock + now, until - now, substep, p, on)
+                elif lagged:
+                    advance_lagged(state, duty, modes[j], clock + now, until - now, substep, play, p, on)
                 else:
                     advance(state, duty, modes[j], clock + now, until - now, substep, play, p, on)
             now = until

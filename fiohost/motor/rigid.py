@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.flow import decay, flow, flow_by, hold_level, net_torque, plant, relax, settled_current, time_to_rest
+from fiohost.motor.flow import (
+    decay,
+    deflect,
+    flow,
+    flow_by,
+    hold_level,
+    net_torque,
+    plant,
+    relax,
+    settled_current,
+    time_to_rest,
+)
 from fiohost.motor.hooks import torque
 from fiohost.motor.state import (
     BREAKAWAY,
     BRISTLE,
     BRISTLE_ON,
-    CURRENT,
     HALF_DECAY,
-    LAG,
-    LAG_ON,
+    HEATING_ON,
     LOAD_THETA,
     OMEGA,
     SMALLEST_BREAKAWAY,
-    SMALLEST_LAG_S,
     STANDBY,
     STEP_DECAY,
     STOP,
@@ -35,46 +43,45 @@ def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignor
     midpoint; with ``substep`` 0 the whole span is one exact step. A step ends where the speed crosses zero; there the
     shaft rests while drive minus load stays within break-away.
     """
-    lagged = on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S
     bristle = on[BRISTLE_ON] and p[BREAKAWAY] >= SMALLEST_BREAKAWAY
-    emf = mode != STANDBY and not lagged
+    emf = mode != STANDBY
     theta, omega = state[THETA], state[OMEGA]
-    left = span
+    left, push = span, 0.0
     for _ in range(MAX_EVENTS):
         if left <= 0.0:
             break
         gain, tau, grip = plant(time, p, on)
         dt = min(left, substep) if substep > 0.0 else left
         if omega == 0.0:
-            push = state[CURRENT] if lagged else settled_current(0.0, time, duty, mode, gain, state, p, on)
+            push = settled_current(0.0, time, duty, mode, gain, state, p, on)
             drive = push + torque(theta, 0.0, time, duty, p, on)
             direction = 1.0 if drive > 0.0 else -1.0
             at_stop = on[STOP_ON] and theta == p[STOP] and drive * p[STOP] > 0.0
             if at_stop or (not bristle and abs(drive) <= hold_level(theta, time, push, direction, state, grip, p, on)):
-                relax(state, 0.0, 0.0, time, duty, mode, lagged, bristle, gain, dt, p, on)
+                relax(state, 0.0, push, dt, p, on)
                 left -= dt
                 time += dt
                 continue
         else:
             direction = 1.0 if omega > 0.0 else -1.0
-        net = net_torque(theta, omega, time, duty, direction, mode, lagged, bristle, gain, grip, state, p, on)
+        net = net_torque(theta, omega, time, duty, direction, mode, bristle, gain, grip, state, p, on)
         middle = omega
         if substep > 0.0:
             fallen = decay(state, HALF_DECAY, 0.5 * dt, tau) if emf else 0.0
             half, middle = flow_by(omega, net, emf, gain, tau, 0.5 * dt, fallen)
             if middle * direction < 0.0 and not (bristle and omega == 0.0):
                 middle = 0.0
-            kept, was = state[CURRENT], state[BRISTLE]
-            relax_fast(state, half, middle, time, duty, mode, lagged, bristle, gain, 0.5 * dt, p, on)
-            net = net_torque(
-                theta + half, middle, time + 0.5 * dt, duty, direction, mode, lagged, bristle, gain, grip, state, p, on
-            )
-            state[CURRENT], state[BRISTLE] = kept, was
+            was = state[BRISTLE]
+            if bristle:
+                deflect(state, half, p)
+            at = time + 0.5 * dt
+            net = net_torque(theta + half, middle, at, duty, direction, mode, bristle, gain, grip, state, p, on)
+            state[BRISTLE] = was
         fallen = decay(state, STEP_DECAY, dt, tau) if emf else 0.0
         turn, after = flow_by(omega, net, emf, gain, tau, dt, fallen)
         if after * direction <= 0.0 and not (bristle and omega == 0.0):
             if omega == 0.0:
-                relax(state, 0.0, 0.0, time, duty, mode, lagged, bristle, gain, dt, p, on)
+                relax(state, 0.0, push, dt, p, on)
                 left -= dt
                 time += dt
                 continue
@@ -87,7 +94,11 @@ def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignor
                 dt *= (p[STOP] - theta) / turn
                 turn = p[STOP] - theta
                 after = 0.0
-        relax(state, turn, middle, time, duty, mode, lagged, bristle, gain, dt, p, on)
+        if bristle:
+            deflect(state, turn, p)
+        if on[HEATING_ON]:
+            push = settled_current(middle, time, duty, mode, gain, state, p, on)
+        relax(state, middle, push, dt, p, on)
         theta = p[STOP] if on[STOP_ON] and turn == p[STOP] - theta else theta + turn
         omega = after
         if play > 0.0:
@@ -96,10 +107,3 @@ def advance(state, duty, mode, time, span, substep, play, p, on):  # type: ignor
         time += dt
     state[THETA] = theta
     state[OMEGA] = omega
-
-
-@inlined
-def relax_fast(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on):  # type: ignore[no-untyped-def]
-    """Current and bristle half a step on, to take the torque there; the slow states hardly move."""
-    if lagged or bristle:
-        relax(state, turn, omega, time, duty, mode, lagged, bristle, gain, dt, p, on)

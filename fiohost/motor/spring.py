@@ -11,6 +11,7 @@ from fiohost.motor.rigid import MAX_EVENTS
 from fiohost.motor.state import (
     DAMPING,
     HALF_DECAY,
+    HEATING_ON,
     LOAD_OMEGA,
     LOAD_THETA,
     OMEGA,
@@ -33,7 +34,7 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
     pulse = 2.0 * pi * p[RESONANCE]
     emf = mode != STANDBY
     theta, omega, load_theta, load_omega = state[THETA], state[OMEGA], state[LOAD_THETA], state[LOAD_OMEGA]
-    left = span
+    left, push = span, 0.0
     for _ in range(MAX_EVENTS):
         if left <= 0.0:
             break
@@ -53,7 +54,7 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
             direction = 1.0 if omega > 0.0 else -1.0
         turn, after, half, middle = 0.0, 0.0, 0.0, 0.0
         if not stuck:
-            net = net_torque(theta, omega, time, duty, direction, mode, False, False, gain, grip, state, p, on) - twist
+            net = net_torque(theta, omega, time, duty, direction, mode, False, gain, grip, state, p, on) - twist
             fallen = decay(state, HALF_DECAY, 0.5 * dt, own) if emf else 0.0
             half, middle = flow_by(omega, net, emf, gain, own, 0.5 * dt, fallen)
             if middle * direction < 0.0:
@@ -63,7 +64,7 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
         twist = stiff * (theta + half - load_half) + damp * (middle - load_middle)
         if not stuck:
             net = net_torque(
-                theta + half, middle, time + 0.5 * dt, duty, direction, mode, False, False, gain, grip, state, p, on
+                theta + half, middle, time + 0.5 * dt, duty, direction, mode, False, gain, grip, state, p, on
             )
             net -= twist
             fallen = decay(state, STEP_DECAY, dt, own) if emf else 0.0
@@ -78,7 +79,9 @@ def advance_spring(state, duty, mode, time, span, substep, p, on):  # type: igno
         rate = gain * twist / other
         load_theta += (load_omega + 0.5 * rate * dt) * dt
         load_omega += rate * dt
-        relax(state, turn, middle, time, duty, mode, False, False, gain, dt, p, on)
+        if on[HEATING_ON]:
+            push = settled_current(middle, time, duty, mode, gain, state, p, on)
+        relax(state, middle, push, dt, p, on)
         theta += turn
         omega = after
         left -= dt

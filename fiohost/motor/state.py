@@ -10,10 +10,11 @@ from fiohost.motor.hooks import EFFECT_INDEX
 THETA, OMEGA, LOAD_THETA, LOAD_OMEGA, CONTACT, CURRENT, BRISTLE, WINDING, BEARING = range(9)
 STATE_SIZE = 9
 
-# Behind the state the kernel remembers exponentials: most steps are as long as the one before. Each slot of three
-# numbers holds a span, a time constant and expm1(-span / time constant).
-STEP_DECAY, HALF_DECAY, OTHER_DECAY = STATE_SIZE, STATE_SIZE + 3, STATE_SIZE + 6
-WORK_SIZE = STATE_SIZE + 9
+# Behind the state the kernel remembers exponentials, as most steps are as long as the one before: of the mechanical lag
+# (span, time constant, value), and of current and speed together (span, two time constants, two values).
+STEP_DECAY, HALF_DECAY = STATE_SIZE, STATE_SIZE + 3
+STEP_SWING, HALF_SWING = STATE_SIZE + 6, STATE_SIZE + 11
+WORK_SIZE = STATE_SIZE + 16
 
 BRAKE = 2
 DRIVE = 1

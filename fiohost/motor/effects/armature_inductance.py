@@ -8,7 +8,6 @@ EFFECTS = (
         summary="electrical lag",
         equation="time_constant * di/dt = (duty - emf) - i",
         acts_on="structure",
-        substep_s=0.0005,
         commonness=2,
         signature="position lags after every change of drive; grows with frequency, then less than a delay would",
         parameters=(Parameter("time_constant_s", "s", 0.002, 0.0, 0.1, step=2e-5),),

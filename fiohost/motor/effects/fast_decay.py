@@ -29,7 +29,7 @@ EFFECTS = (
         equation="mean current of a PWM period: on towards supply - emf, off towards -(supply + emf) until zero",
         acts_on="current",
         stage=10,
-        substep_s=0.0005,
+        substep_s=0.00125,
         commonness=4,
         signature="starts only near half duty, then steep",
         parameters=(Parameter("electrical_tau_s", "s", 0.001, 5e-5, 0.1, neutral=None, step=1e-3, relative_step=True),),

@@ -17,7 +17,6 @@ EFFECTS = (
         summary="an end of travel",
         equation="theta <= angle (angle > 0), theta >= angle (angle < 0); inelastic",
         acts_on="structure",
-        substep_s=0.0025,
         commonness=6,
         angle_bound=True,
         signature="speed falls to zero at one angle, whatever the drive",
