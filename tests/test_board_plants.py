@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_model import Board, FirmwareModelError, draw, load_plant, reveal
+from firmware_model import Board, FirmwareModelError, draw, load_plant, plant_names, reveal
 from firmware_model.plants import make_plant
 from firmware_model.registry import effects
 from firmware_model.sealed import ALIKE, EFFECTS, SHARES
@@ -151,6 +151,44 @@ def test_every_sealed_effect_makes_a_board_that_runs() -> None:
                 board.step(struct.pack("<fBB58x", 70.0, k // 30, 1 - k // 30))
             left -= set(plant.effects)
         seed += 1
+
+
+# R, L, Kt, Ke, J, B, Coulomb, supply as printed in the sources that the files name.
+PRINTED = {
+    "default": (5.515, 0.015, 0.3408, 0.4869, 3.07e-3, 0.0, 0.02045, 9.0),
+    "nxt_fast_decay": (5.515, 0.015, 0.3408, 0.4869, 3.07e-3, 0.0, 0.02045, 9.0),
+    "nxt_no_load": (2.27, 0.0047, 0.25, 0.25, 0.00233, 0.00131, 0.0, 4.5),
+    "nxt_arm_measured": (2.27, 0.0047, 0.25, 0.25, 0.00302, 0.0027, 0.0, 4.5),
+    "nxt_arm_tuned": (2.27, 0.0047, 0.25, 0.25, 0.00273, 0.0027, 0.0, 4.5),
+    "nxt_elevator": (2.27, 0.0047, 0.25, 0.25, 0.0024, 0.002, 0.0, 4.5),
+    "problem_d1": (2.0, 0.008, 0.1, 0.1, 0.0004, 0.001, 0.0, 5.0),
+}
+TABLES = {
+    "nxt_no_load": ("table D-6", 0.081),
+    "nxt_arm_measured": ("table D-8", 0.1),
+    "nxt_arm_tuned": ("table D-10", 0.09),
+    "nxt_elevator": ("table D-11", 0.08),
+}
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_shipped_plants_are_the_printed_sets_kept_whole(name: str) -> None:
+    p = load_plant(name)
+    constants = (p.R_ohm, p.L_H, p.Kt_Nm_per_A, p.Ke_Vs_per_rad, p.J_kgm2, p.B_Nms, p.coulomb_Nm, p.supply_V)
+    assert constants == PRINTED[name]
+    assert p.source
+    if name in TABLES:
+        table, tau_s = TABLES[name]
+        assert table in p.source
+        assert p.tau_s == pytest.approx(tau_s, abs=0.0055)  # the appendix's own rounding
+
+
+def test_the_elevator_hangs_its_car_and_one_plant_has_fast_decay() -> None:
+    load = load_plant("nxt_elevator").effects["constant_load"]["torque_Nm"]
+    assert load == 0.017
+    assert load == pytest.approx(0.124 * 9.81 * 0.01375, abs=0.0005)
+    assert [name for name in plant_names() if "fast_decay" in load_plant(name).effects] == ["nxt_fast_decay"]
+    assert {*PRINTED, "ideal"} <= set(plant_names())
 
 
 def test_every_effect_says_what_it_is() -> None:
