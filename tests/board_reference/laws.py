@@ -15,6 +15,7 @@ from .constants import PULSES, STATES
 
 PERIOD_S = 1.0 / 20e3
 HAIR = 1e-13  # N m, rad/s2: a balance that is exact is no event
+PLAY = 1e-12  # rad, beyond the gap: bodies that part with next to no force do not meet again by a rounding
 law: Any = numba.njit(cache=True)
 
 
@@ -208,7 +209,8 @@ def rates(t, x, c):
     i = current(t, x, c)
     d[6] = (i * i * q.R * (1.0 + q.alpha * x[6]) * q.thermal - x[6]) / q.thermal_tau
     if q.grease > 0.0:
-        d[7] = ((1.0 if q.side != 0.0 else 0.0) - x[7]) / q.grease_tau
+        turning = 1.0 if q.side != 0.0 or d[0] != 0.0 else 0.0
+        d[7] = (turning - x[7]) / q.grease_tau
     return d
 
 
@@ -244,7 +246,7 @@ def margin(which, t, x, c):
         return (motor - load) * q.contact + HAIR
     if which in (WALL_UP, WALL_DOWN):
         face = 1.0 if which == WALL_UP else -1.0
-        return q.half - face * (x[0] - x[3])
+        return q.half + PLAY - face * (x[0] - x[3])
     if which in (PRESS_UP, PRESS_DOWN):
         face = 1.0 if which == PRESS_UP else -1.0
         pressing = min(face * (x[0] - x[3]) - q.half, face * coupling(x, face, c))
