@@ -129,7 +129,7 @@ class FaultyBoard:
         """Time until the next step. Delays are of the single tick; the clock's rate is that of all."""
         faults, rng = self._faults, self._clock
         self._ticks += 1
-        due_s = self._ticks * self._board.step_s * (1.0 + 1e-6 * faults["clock_ppm"])
+        due_s = self._ticks * self._board.step_s / (1.0 + 1e-6 * faults["clock_ppm"])
         if faults["tick_jitter_s"] > 0.0:
             due_s += rng.uniform(0.0, faults["tick_jitter_s"])
         if faults["tick_late_ratio"] > 0.0 and rng.random() < faults["tick_late_ratio"]:

@@ -103,11 +103,11 @@ def test_a_command_lost_on_its_way_leaves_the_outputs_as_they_were() -> None:
 
 
 def test_the_clock_runs_fast_or_slow_by_parts_per_million() -> None:
-    slow, whole = faulty(clock_ppm=20000.0), plain()
+    slow, whole = faulty(clock_ppm=-20000.0), plain()
     drive(slow, 2000)
     for _ in range(2000):
         whole.step(FORWARD)
-    assert slow._board._motor.time_s / whole._motor.time_s == pytest.approx(1.02, rel=1e-9)
+    assert slow._board._motor.time_s / whole._motor.time_s == pytest.approx(1.0 / 0.98, rel=1e-9)
 
 
 def test_late_ticks_are_single_and_do_not_shift_the_others() -> None:
