@@ -81,7 +81,8 @@ def fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     lost = drop(0.0, theta, omega, 0.0, 0.0, duty, time, y, p, on)
     emf = way * p[KE] * omega
     mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L])
-    return way, supply, emf, ohms, lost, mean, ceases
+    most = ceiling(math.inf, theta, omega, 0.0, 0.0, duty, time, y, p, on)
+    return way, supply, emf, ohms, lost, min(mean, most), ceases
 
 
 @part
@@ -90,14 +91,17 @@ def fast_electrical(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     way, supply, emf, ohms, lost, mean, _ = fast(time, y, m, duty, p, on)
     if m[FLOW] == CEASING:
         return way * mean, 0.0
-    current = way * y[CURRENT]
+    most = ceiling(math.inf, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
+    current = min(max(way * y[CURRENT], -most), most)
     if m[FLOW] * way < 0.0:
         # Against the duty the current meets the supply all the time, through the transistors or the diodes.
         rate = supply + lost - emf - ohms * current
     else:
         share = 0.01 * abs(duty)
         rate = share * (supply - lost) - (1.0 - share) * (supply + lost + p[DIODE]) - emf - ohms * current
-    return y[CURRENT], way * rate / p[L]
+    if (current >= most and rate > 0.0) or (current <= -most and rate < 0.0):
+        rate = 0.0
+    return way * current, way * rate / p[L]
 
 
 @part

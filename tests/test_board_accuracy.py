@@ -26,6 +26,7 @@ SEEDS = [secrets.randbelow(2**31) for _ in range(PAIRS)]
 CASES: dict[str, dict[str, dict[str, Any]]] = {
     "no effect": {},
     **{name: {name: drawn(name, np.random.default_rng(7))} for name in SIZES},
+    "fast decay, limited": {"fast_decay": {"diode_V": 0.7}, "current_limit": {"limit_A": 0.2}},
     "backlash, disc": {"backlash": {"gap_deg": 4.0}},
     "backlash, load": {"backlash": {"gap_deg": 4.0, "load_inertia_kgm2": 1e-3, "side": "encoder_before_gap"}},
     "backlash, hanging load": {
@@ -33,7 +34,7 @@ CASES: dict[str, dict[str, dict[str, Any]]] = {
         "backlash": {"gap_deg": 4.0, "load_inertia_kgm2": 1e-3, "side": "encoder_after_gap"},
     },
 }
-NEEDS_WINDING = {"fast_decay"}
+NEEDS_WINDING = {"fast_decay", "fast decay, limited"}
 
 
 def records(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:

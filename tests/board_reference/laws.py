@@ -64,7 +64,7 @@ def pulse(t, x, c):
     decay = math.exp(-part * PERIOD_S * ohms / q.L)
     peak = on / ohms * (1.0 - decay)
     down_s = q.L / ohms * math.log((off + ohms * peak) / off)
-    return down_s - (1.0 - part) * PERIOD_S, (part * on - off * down_s / PERIOD_S) / ohms
+    return down_s - (1.0 - part) * PERIOD_S, min((part * on - off * down_s / PERIOD_S) / ohms, q.limit)
 
 
 @law

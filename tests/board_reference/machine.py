@@ -115,14 +115,19 @@ class Reference:
             if q["flow"] == 0.0:
                 return [laws.CURRENT_START]
             watched = [laws.CURRENT_END]
-        if q["limit"] < math.inf:
-            if fired == laws.LIMIT or abs(x[2]) >= q["limit"]:
-                q["limited"] = q["flow"] = sign(x[2])
-                x[2] = q["limited"] * q["limit"]
-                if fired == laws.UNLIMIT or q["limited"] * laws.outward(t, x, c) <= 0.0:
-                    q["limited"] = 0.0
-            watched = [laws.UNLIMIT] if q["limited"] else [*watched, laws.LIMIT]
-        return watched
+        return self.choose_limit(t, fired, watched)
+
+    def choose_limit(self, t: float, fired: int, watched: list[int]) -> list[int]:
+        """Whether the current stands at its limit; what to watch besides ``watched``."""
+        q, c, x = self.q, self.c, self.x
+        if q["limit"] == math.inf:
+            return watched
+        if fired == laws.LIMIT or abs(x[2]) >= q["limit"]:
+            way = sign(x[2])
+            x[2] = way * q["limit"]
+            if fired != laws.UNLIMIT and way * laws.outward(t, x, c) > 0.0:
+                q["limited"] = way
+        return [*watched, laws.UNLIMIT if q["limited"] else laws.LIMIT]
 
     def choose_pulses(self, t: float, fired: int) -> list[int]:
         """Fast decay: against the duty, without a gap, or in pulses that cease in every period."""
@@ -133,12 +138,12 @@ class Reference:
         returns = fired == laws.RETURNED or way * q["Ke"] * x[1] > laws.full_volts(t, c) + q["drop"]
         if i < 0.0 or (i == 0.0 and returns):
             q["flow"] = -way
-            return [laws.CURRENT_END]
+            return self.choose_limit(t, fired, [laws.CURRENT_END])
         if fired != laws.UNBROKEN and (fired == laws.CEASING or (late < 0.0 and i <= mean + 1e-12)):
             q["flow"] = PULSES
             return [laws.UNBROKEN, laws.RETURNED]
         q["flow"] = way
-        return [laws.CEASING]
+        return self.choose_limit(t, fired, [laws.CEASING])
 
     def choose_motor(self, t: float, fired: int, torque: float, stopped: bool) -> list[int]:
         """The motor alone, or all there is: sliding or held."""
