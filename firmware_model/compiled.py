@@ -65,9 +65,9 @@ def kept_in() -> str:
     return ""
 
 
-def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only the kernel calls."""
-    return njit(**OPTIONS)(function)
+def part(function: Callable[..., Any], *, inline: bool = False) -> Any:
+    """Compile a function that only the kernel calls; ``inline``: put it into its callers, however many there are."""
+    return njit(forceinline=inline, **OPTIONS)(function)
 
 
 def entry(function: Callable[..., Any]) -> Any:

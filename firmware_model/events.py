@@ -96,6 +96,13 @@ def body_broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         return True
     if m[STOPPED] == 0 and abs(p[STOP]) < math.inf and (y[LOAD_THETA] - p[STOP]) * p[STOP] > 0.0:
         return True
+    if m[CONTACT] == 0:
+        if p[STIFFNESS] <= 0.0:
+            twist = y[THETA] - y[LOAD_THETA]
+            if abs(twist) > p[HALF_GAP] and (y[OMEGA] - y[LOAD_OMEGA]) * twist > 0.0:
+                return True
+        if side != 0 and m[LOAD_SIDE] != 0:
+            return False
     current, _ = electrical(time, y, m, duty, p, on)
     effort = p[KT] * current
     if m[CONTACT] != 0:
@@ -108,12 +115,6 @@ def body_broken(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         forward = holding(time, y, 1.0, effort, duty, p, on) + p[LOAD_COULOMB]
         reverse = holding(time, y, -1.0, effort, duty, p, on) + p[LOAD_COULOMB]
         return start(motor + load, forward, reverse, m[STOPPED], p[STOP]) != 0
-    if p[STIFFNESS] <= 0.0:
-        twist = y[THETA] - y[LOAD_THETA]
-        if abs(twist) > p[HALF_GAP] and (y[OMEGA] - y[LOAD_OMEGA]) * twist > 0.0:
-            return True
-    if side != 0 and m[LOAD_SIDE] != 0:
-        return False
     motor, load = two_torques(time, y, m, duty, effort, p, on)
     if side == 0:
         forward = holding(time, y, 1.0, effort, duty, p, on)

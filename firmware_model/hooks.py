@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from firmware_model.compiled import part
 from firmware_model.layout import FIRST_EFFECT, OWN
 from firmware_model.registry import effects, index_of
+
+link = partial(part, inline=True)  # most effects are absent: a call would cost more than the switch
 
 # Kinds of hooks an effect can have; all but the first two act on the physics.
 HOOKS = (
@@ -59,19 +61,19 @@ def state_count() -> int:
 
 
 def _chain(kind: str) -> Any:
-    @part
+    @link
     def chained(value, theta, omega, effort, side, duty, time, y, p, on):  # type: ignore[no-untyped-def]
         return value
 
     for name, effect in effects().items():
         hook = getattr(effect, kind)
         if hook is not None:
-            chained = _link(chained, part(hook), index_of()[name], offsets()[name], slots()[name])
+            chained = _link(chained, link(hook), index_of()[name], offsets()[name], slots()[name])
     return chained
 
 
 def _link(before: Any, hook: Any, index: int, k: int, s: int) -> Any:
-    @part
+    @link
     def chained(value, theta, omega, effort, side, duty, time, y, p, on):  # type: ignore[no-untyped-def]
         value = before(value, theta, omega, effort, side, duty, time, y, p, on)
         if on[index]:
@@ -82,19 +84,19 @@ def _link(before: Any, hook: Any, index: int, k: int, s: int) -> Any:
 
 
 def _simple_chain(kind: str) -> Any:
-    @part
+    @link
     def chained(value, p, on):  # type: ignore[no-untyped-def]
         return value
 
     for name, effect in effects().items():
         hook = getattr(effect, kind)
         if hook is not None:
-            chained = _simple_link(chained, part(hook), index_of()[name], offsets()[name])
+            chained = _simple_link(chained, link(hook), index_of()[name], offsets()[name])
     return chained
 
 
 def _simple_link(before: Any, hook: Any, index: int, k: int) -> Any:
-    @part
+    @link
     def chained(value, p, on):  # type: ignore[no-untyped-def]
         value = before(value, p, on)
         if on[index]:
@@ -105,18 +107,18 @@ def _simple_link(before: Any, hook: Any, index: int, k: int) -> Any:
 
 
 def _rate_chain() -> Any:
-    @part
+    @link
     def chained(theta, omega, effort, side, duty, time, y, dy, p, on):  # type: ignore[no-untyped-def]
         return None
 
     for name, effect in effects().items():
         if effect.rate is not None:
-            chained = _rate_link(chained, part(effect.rate), index_of()[name], offsets()[name], slots()[name])
+            chained = _rate_link(chained, link(effect.rate), index_of()[name], offsets()[name], slots()[name])
     return chained
 
 
 def _rate_link(before: Any, hook: Any, index: int, k: int, s: int) -> Any:
-    @part
+    @link
     def chained(theta, omega, effort, side, duty, time, y, dy, p, on):  # type: ignore[no-untyped-def]
         before(theta, omega, effort, side, duty, time, y, dy, p, on)
         dy[s] = hook(y[s], theta, omega, effort, side, duty, time, y, p, k, s) if on[index] else 0.0

@@ -45,7 +45,7 @@ HALF_GAP, DEFLECTION = int(C.HALF_GAP), int(C.DEFLECTION)
 BODY, TABLE = 9, 10
 ROWS = 12
 MOST_PIECES = 20
-NOTHING, BODIES_MET = 0.0, -1.0
+BROKEN = -1.0
 
 
 @part
@@ -84,27 +84,68 @@ def row_of(w, phase, h, free, body, a11, a12, a21, a22):  # type: ignore[no-unty
 
 
 @part
-def located(h, target, reached, omega, current, a11, a12, a21, a22, g1, g2):  # type: ignore[no-untyped-def]
-    """When the current passes ``target`` on its way to ``reached`` at ``h`` (Newton on the exact curve)."""
-    at = h * (current - target) / (current - reached)
+def landing(h, target, omega, current, rate, a11, a12, a21, a22, g1, g2):  # type: ignore[no-untyped-def]
+    """When within ``h`` the current comes to ``target`` (beyond h: it does not): Newton from a parabola's root."""
+    way = target - current
+    if way * rate <= 0.0 or abs(way) > abs(rate) * h:  # a current slows down on its way to where it tends
+        return 2.0 * h
+    bend = a21 * (a11 * omega + a12 * current + g1) + a22 * rate
+    inside = rate * rate + 2.0 * bend * way
+    if inside <= 0.0:
+        return 2.0 * h
+    at = 2.0 * way / (rate + math.copysign(math.sqrt(inside), rate))
     for _ in range(8):
+        if at > 2.0 * h:
+            break
         speed, there, _ = flow(omega, current, at, a11, a12, a21, a22, g1, g2)
         step = (there - target) / (a21 * speed + a22 * there + g2)
-        at = min(max(at - step, 0.0), h)
-        if abs(step) <= 1e-13 * h:
+        at = max(at - step, 0.0)
+        if abs(step) <= 1e-7 * h:  # the next one would be its square
             break
     return at
 
 
 @part
-def attempt(y, r, w, m, duty, p, on, h, full, landing):  # type: ignore[no-untyped-def]
-    """A step of ``h`` from y into w[8]. Returns 0, -1 where a body's regime breaks, or the time of a current's event.
+def attempt(y, r, w, m, duty, p, on, h, full):  # type: ignore[no-untyped-def]
+    """A step of ``h`` or less from y into w[8]; ``full``: h is a whole segment.
 
-    ``full``: h is a whole segment. ``landing``: the current is known to meet zero or its limit just at h.
+    Returns how far it went: short of h where the current met zero or its limit, below 0 where a body's regime broke.
     """
     time, half = r[TIME], 0.5 * h
     middle, dy, end = w[0], w[1], w[8]
-    omega = y[OMEGA]
+    omega, current = y[OMEGA], y[CURRENT]
+    middle[THETA], middle[OMEGA] = y[THETA] + half * omega, omega
+    for i in range(OWN, m[STATES]):
+        middle[i] = y[i] + half * dy[i]
+    volts, ohms, lost, most = circuit(time + half, middle, m, duty, p, on)
+    push = volts - p[KE] * omega
+    m[FLOW] = sign(current) if current != 0.0 else starts(push, lost)
+    free = m[FLOW] != 0
+    rate = 0.0
+    if free:
+        rate = (push - m[FLOW] * lost - ohms * current) / p[L]
+        free = not ((current >= most and rate > 0.0) or (current <= -most and rate < 0.0))
+    a11, a12, a21, a22, body = coefficients(w, m, p, free)
+
+    # A current on its way to zero in a diode, or to its limit, cuts the segment there.
+    target = math.nan
+    if free and rate * current < 0.0 and lost > 0.0:
+        target = 0.0
+    elif free and most < math.inf:
+        target = math.copysign(most, rate)
+    if not math.isnan(target):
+        g1 = w[BODY, 2] if body != 0 else 0.0
+        g2 = (volts - m[FLOW] * lost - (ohms - p[R]) * current) / p[L]
+        at = landing(h, target, omega, current, rate, a11, a12, a21, a22, g1, g2)
+        if at < h:
+            h, half, full = at, 0.5 * at, False
+        else:
+            target = math.nan
+
+    between = current
+    if free:
+        between += half * rate / (1.0 + half * p[R] / p[L])
+    middle[CURRENT] = between
     middle[THETA] = y[THETA] + half * omega
     middle[OMEGA] = omega + half * dy[OMEGA]
     if m[BODIES] == 2:
@@ -116,26 +157,12 @@ def attempt(y, r, w, m, duty, p, on, h, full, landing):  # type: ignore[no-untyp
         middle[SLIP] = min(max(slip, -deflection), deflection)
     for i in range(OWN, m[STATES]):
         middle[i] = y[i] + half * dy[i]
-
-    volts, ohms, lost, most = circuit(time + half, middle, m, duty, p, on)
-    current = y[CURRENT]
-    push = volts - p[KE] * omega
-    m[FLOW] = sign(current) if current != 0.0 else starts(push, lost)
-    free = m[FLOW] != 0
-    rate = 0.0
-    if free:
-        rate = (push - m[FLOW] * lost - ohms * current) / p[L]
-        free = not ((current >= most and rate > 0.0) or (current <= -most and rate < 0.0))
-    between = current
-    if free:
-        between += half * rate / (1.0 + half * p[R] / p[L])
-    middle[CURRENT] = between
     mechanical(time + half, middle, dy, m, duty, p[KT] * between, p, on)
 
-    a11, a12, a21, a22, body = coefficients(w, m, p, free)
     g1 = g2 = 0.0
     if body != 0:
         g1 = dy[OMEGA] - a11 * middle[OMEGA] - a12 * between
+        w[BODY, 2] = g1
     if free:
         g2 = (volts - m[FLOW] * lost - (ohms - p[R]) * between) / p[L]
     if full:
@@ -143,19 +170,13 @@ def attempt(y, r, w, m, duty, p, on, h, full, landing):  # type: ignore[no-untyp
         end[OMEGA], reached, turn = kept_flow(w[place], omega, current, g1, g2)
     else:
         end[OMEGA], reached, turn = flow(omega, current, h, a11, a12, a21, a22, g1, g2)
-
-    if free and landing:
-        reached = math.copysign(most, current) if abs(reached) > 0.5 * most else 0.0
+    if not math.isnan(target):
+        reached = target
     elif free:
-        target = math.nan
-        if lost > 0.0 and reached * m[FLOW] < 0.0:
-            target = 0.0
-        elif abs(reached) > most:
-            target = math.copysign(most, reached)
-        if not math.isnan(target):
-            return max(located(h, target, reached, omega, current, a11, a12, a21, a22, g1, g2), 1e-18)
+        if abs(reached) > most or (lost > 0.0 and reached * m[FLOW] < 0.0):
+            return BROKEN
     elif m[FLOW] == 0 and starts(volts - p[KE] * end[OMEGA], lost) != 0:
-        return BODIES_MET
+        return BROKEN
 
     end[CURRENT] = reached
     end[THETA] = y[THETA] + turn
@@ -172,34 +193,29 @@ def attempt(y, r, w, m, duty, p, on, h, full, landing):  # type: ignore[no-untyp
         end[SLIP] = limit + (y[SLIP] - limit) * math.exp(-m[SIDE] * turn / deflection) if m[SIDE] != 0 else y[SLIP]
     for i in range(OWN, m[STATES]):
         end[i] = y[i] + h * dy[i]
-    return BODIES_MET if body_broken(time + h, end, m, duty, p, on) else NOTHING
+    return BROKEN if body_broken(time + h, end, m, duty, p, on) else h
 
 
 @part
 def segment(y, r, w, m, duty, p, on, finish, h, full):  # type: ignore[no-untyped-def]
     """Run one segment of ``h`` seconds to the time ``finish``."""
-    landing = False
-    left = h
+    end = w[8]
     for _ in range(MOST_PIECES):
         if m[STIFF] != 0:
             break
-        found = attempt(y, r, w, m, duty, p, on, h, full, landing)
-        if found < 0.0:
+        passed = attempt(y, r, w, m, duty, p, on, h, full)
+        if passed < 0.0:
             break
-        if found > 0.0:
-            h, full, landing = found, False, True
-            m[EVENTS] += 1
-            continue
         m[STEPS] += 1
-        end = w[8]
         for i in range(m[STATES]):
             y[i] = end[i]
-        left -= h
-        if not landing or left <= 0.0:
+        if passed >= h:
             r[TIME] = finish
             return
-        r[TIME] += h
-        h, landing = left, False
+        m[EVENTS] += 1
+        r[TIME] += passed
+        h -= passed
+        full = False
     fresh = True
     while r[TIME] < finish:
         fresh = advance_step(y, r, m, w, finish, p, on, duty, fresh)
