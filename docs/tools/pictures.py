@@ -11,7 +11,7 @@ from fiohost.report.circle import confirm_series
 from fiohost.report.plots import as_png, plot_series
 
 FOLDER = Path(__file__).resolve().parent.parent / "images"
-SEED = 5
+SEED = 280
 
 
 def main() -> None:
