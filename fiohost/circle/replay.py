@@ -48,6 +48,7 @@ def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:
         f"initial_{result.output_name}": repr(result.start.angle),
         "initial_speed": repr(result.start.speed),
         "initial_play": repr(result.start.play),
+        "initial_drift": repr(result.start.drift),
         "initial_state": "least squares on the first second of the log",
         "free_run_rms": f"{result.errors.free_run_rms:.6g} {result.unit}",
     }

@@ -6,29 +6,25 @@ free run of what was left out. Held-out records never come here.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
 from fiohost.discover.floor import repeats
 from fiohost.discover.screen import Score
+from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit, fit, unchanged
 from fiohost.identify.intervals import covariance, estimates
 from fiohost.identify.record import Record, make_record
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
-T = TypeVar("T")
-R = TypeVar("R")
-
 STARTS = 4
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
 COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)
+FINEST = np.geomspace(0.98, 1.02, 16)
 MOMENT_S = 2.0
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
@@ -172,7 +168,7 @@ def _searched(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     points.
     """
     parameter = found.model.parameter(key)
-    for factors in (COARSE, FINE):
+    for factors in (COARSE, FINE, FINEST):
         centre = found.model.number(key)
         points = [centre * f if parameter.neutral == 0.0 else centre + MOMENT_S * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
@@ -181,15 +177,6 @@ def _searched(found: Fit, key: str, records: Sequence[Record]) -> Fit:
         fits = [fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
     return found
-
-
-def each(run: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """``[run(x) for x in items]`` on all cores; the kernels run without the interpreter's lock."""
-    workers = min(len(items), os.cpu_count() or 1)
-    if workers < 2:
-        return [run(x) for x in items]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(run, items))
 
 
 def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fiohost.discover.choose import each
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.search import Candidate, Found, Progress, Search, Stage, Step, select
+from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.identify.intervals import Estimate, estimates
 from fiohost.identify.record import Record

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
+from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit
 from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import ANGLE, Record
@@ -18,6 +19,8 @@ from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
 REPLICAS = 32
+# Drawn in addition where a figure stands just above the first: a tail is not known from so few.
+MORE_REPLICAS = 160
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,8 @@ def floors(
     rng: np.random.Generator,
 ) -> list[Floor]:
     """Floors of records by replicas of a model, as judged by ``models``; the scatter of repeats counts where larger."""
-    found = [replica_floor(r, model, j.start, models, rng) for r, j in zip(records, judgements, strict=True)]
+    draws = rng.spawn(len(records))
+    found = each(lambda i: replica_floor(records[i], model, judgements[i].start, models, draws[i]), range(len(records)))
     for group in repeats(records):
         free, windows = scatter([judgements[i].free_residual for i in group], records[group[0]].windows)
         for i in group:

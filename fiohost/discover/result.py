@@ -59,7 +59,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     "before": b.errors.to_json(),
                     "after": a.errors.to_json(),
                     "floor": f.errors.to_json(),
-                    "initial": {"angle": a.start.angle, "speed": a.start.speed, "play": a.start.play},
+                    "initial": a.start._asdict(),
                 }
             )
     sources = {f.source for f in (*final.floors, *found.floor_holdout)}

@@ -12,7 +12,6 @@ import numpy as np
 
 from fiohost.discover.choose import (
     Validated,
-    each,
     folds,
     full_fit,
     indistinguishable,
@@ -22,10 +21,11 @@ from fiohost.discover.choose import (
     validate,
 )
 from fiohost.discover.evidence import dependences
-from fiohost.discover.floor import Floor, floors, replica, replica_models
+from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, replica, replica_models
 from fiohost.discover.metrics import Judgement, judge, pool
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
-from fiohost.discover.verdict import Excess, at_floor, excesses
+from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit
+from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit, fit, fit_from_scratch
 from fiohost.identify.record import Record
 from fiohost.motor.effect import effect
@@ -88,10 +88,15 @@ def _judged(
     fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator
 ) -> Stage:
     judgements = each(lambda r: judge(r, fitted.model), records)
-    models = replica_models(fitted, fitted_records, rng)
-    found = floors(records, fitted.model, judgements, models, rng)
     names = [r.name for r in records]
-    return Stage(fitted, tuple(models), tuple(judgements), tuple(found), tuple(excesses(names, judgements, found)))
+    models: list[Model] = []
+    for count in (REPLICAS, MORE_REPLICAS):
+        models += replica_models(fitted, fitted_records, rng, count)
+        found = floors(records, fitted.model, judgements, models, rng)
+        above = excesses(names, judgements, found)
+        if not near_limit(above):
+            break
+    return Stage(fitted, tuple(models[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))
 
 
 class Search:

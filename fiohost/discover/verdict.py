@@ -11,6 +11,7 @@ from fiohost.discover.floor import Floor
 from fiohost.discover.metrics import Judgement
 
 SIGMAS = 4.0
+NEAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,12 @@ def excesses(names: Sequence[str], judgements: Sequence[Judgement], floors: Sequ
                 continue
             found.append(Excess(name, rule.figure, value, _limit(rule, floor, np.array(known))))
     return found
+
+
+def near_limit(found: Sequence[Excess]) -> bool:
+    """Whether all that stands above its limit stands so little above it that more replicas may say otherwise."""
+    above = [e for e in found if e.exceeded]
+    return bool(above) and all(e.value < NEAR * e.limit for e in above)
 
 
 def at_floor(found: Sequence[Excess]) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.identify.predict import Flat, best_play, free_output, free_states, initial_state, window_residuals
+from fiohost.identify.predict import Flat, best_lash, free_output, free_states, initial_state, window_residuals
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
@@ -23,6 +23,8 @@ MAX_ITERATIONS = 40
 # A step that promises less than this share of what the tolerance asks for is not tried.
 PROMISED = 0.1
 PLAY_ROUNDS = 2
+# Where the motor stood in its gap shows until both have met on either side.
+LASH_SHOWS_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -227,23 +229,22 @@ def _initial_starts(model: Model, records: Sequence[Record]) -> list[Start]:
 
 
 def _take_up_play(problem: _Problem, point: _Point) -> bool:
-    """Put the motor on the side of its gap that suits each record's whole run best; whether any changed."""
+    """Put the motor where in its gap suits the beginning of each record best; whether any changed."""
     flat = problem.flat(point.p)
     if not flat.gap:
         return False
     changed = False
     for i, record in enumerate(problem.records):
         was = point.starts[i]
+        begins = min(len(record), round(LASH_SHOWS_S / record.sample_time_s))
 
-        def left(play: float, record: Record = record, was: Start = was) -> tuple[float, float]:
-            residual = record.y - free_output(record, flat, was._replace(play=play))
-            shift = float(residual.mean()) if record.kind == ANGLE else 0.0
-            return float(np.sum((residual - shift) ** 2)), shift
+        def left(play: float, drift: float, record: Record = record, was: Start = was, n: int = begins) -> float:
+            residual = record.y[:n] - free_output(record, flat, was._replace(play=play, drift=drift), n)
+            return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
 
-        play = best_play(flat, lambda p, left=left: left(p)[0])  # type: ignore[misc]
-        cost, shift = left(play)
-        if cost < left(was.play)[0] * (1.0 - 1e-4):
-            point.starts[i] = was._replace(play=play, angle=was.angle + shift)
+        play, drift = best_lash(flat, left)
+        if left(play, drift) < left(was.play, was.drift) * (1.0 - 1e-4):
+            point.starts[i] = was._replace(play=play, drift=drift)
             changed = True
     return changed
 

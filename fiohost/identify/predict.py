@@ -6,17 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from fiohost.identify.record import ANGLE, Record
 from fiohost.identify.windows import fit_windows, read_output
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
-from fiohost.motor.state import BACKLASH, GAIN, GAP, STATE_SIZE, THETA, WORK_SIZE
+from fiohost.motor.state import BACKLASH, GAIN, GAP, SHARE, SMALLEST_SHARE, STATE_SIZE, THETA, WORK_SIZE
 
-PLAYS_APART = 0.5
+# Where a motor may stand in its gap, and how fast a load of its own inertia may drift there, in gaps per second: after
+# a sudden stop it goes on from wall to wall.
 PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
+MORE_PLAYS = (-0.75, -0.25, 0.25, 0.75)
+DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
+LASH_LOOKS = 40
+LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
 
 
 @dataclass(frozen=True)
@@ -48,14 +53,14 @@ def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
     return y
 
 
-def free_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
-    """States (n, STATE_SIZE) of a free run."""
-    return run(record.excitation, flat.p, flat.on, flat.substep_s, start_state(start, flat.p, flat.on))
+def free_states(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
+    """States (n, STATE_SIZE) of a free run, of all samples or up to ``last``."""
+    return run(record.excitation, flat.p, flat.on, flat.substep_s, start_state(start, flat.p, flat.on), 0, last)
 
 
-def free_output(record: Record, flat: Flat, start: Start) -> np.ndarray:
-    """The output (n) of a free run."""
-    return read(record, flat, free_states(record, flat, start))
+def free_output(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
+    """The output (n) of a free run, of all samples or up to ``last``."""
+    return read(record, flat, free_states(record, flat, start, last))
 
 
 def _speed_step(flat: Flat) -> float:
@@ -91,17 +96,36 @@ def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
     return float(y[0]), slope
 
 
-def best_play(flat: Flat, cost: Callable[[float], float]) -> float:
-    """Where in a gap the motor stands at a start, -1 to 1: the sides, points between, and a finer search around
-    the best.
+def best_lash(flat: Flat, cost: Callable[[float, float], float]) -> tuple[float, float]:
+    """Where in a gap the motor stands at a start, -1 to 1, and the drift of a load that has an inertia of its own.
+
+    Sides, points between, and a finer search around the best; zeros without a gap.
     """
     if not flat.gap:
-        return 0.0
-    tried = {play: cost(play) for play in PLAYS}
-    best = min(tried, key=lambda play: tried[play])
-    low, high = max(best - PLAYS_APART, -1.0), min(best + PLAYS_APART, 1.0)
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 0.01, "maxiter": 12})
-    return float(found.x) if found.fun < tried[best] * 0.999 else best
+        return 0.0, 0.0
+    gap = float(flat.p[GAP])
+    tried = {(play, 0.0): cost(play, 0.0) for play in PLAYS}
+    drifts = flat.p[SHARE] >= SMALLEST_SHARE
+    if drifts:
+        tried |= {(play, d * gap): cost(play, d * gap) for play in (*PLAYS, *MORE_PLAYS) for d in DRIFTS}
+    best = min(tried, key=lambda at: tried[at])
+
+    if not drifts:
+        low, high = max(best[0] - 0.5, -1.0), min(best[0] + 0.5, 1.0)
+        line = minimize_scalar(
+            lambda play: cost(play, 0.0), bounds=(low, high), method="bounded", options={"xatol": 0.01, "maxiter": 12}
+        )
+        return (float(line.x), 0.0) if line.fun < tried[best] * 0.999 else best
+    begin = np.array([best[0], best[1] / gap])
+    plane = minimize(  # type: ignore[call-overload]
+        lambda x: cost(float(np.clip(x[0], -1.0, 1.0)), float(x[1]) * gap),
+        begin,
+        method="Nelder-Mead",
+        options={"initial_simplex": begin + LASH_SIMPLEX, "maxfev": LASH_LOOKS},
+    )
+    if plane.fun >= tried[best] * 0.999:
+        return best
+    return float(np.clip(plane.x[0], -1.0, 1.0)), float(plane.x[1]) * gap
 
 
 def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> Start:
@@ -114,20 +138,20 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> St
     angle, speed = initial_guess(record, data)
     edges = np.array([0, record.first_second()], dtype=np.int64)
 
-    def attempt(play: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        base = start_state(Start(angle, speed, play), flat.p, flat.on)[None, :]
+    def attempt(play: float, drift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        base = start_state(Start(angle, speed, play, drift), flat.p, flat.on)[None, :]
         return _fit(record, flat, data, edges, base, not record.at_rest)
 
-    def cost(play: float) -> float:
-        residuals, _, _ = attempt(play)
+    def cost(play: float, drift: float) -> float:
+        residuals, _, _ = attempt(play, drift)
         return float(residuals @ residuals)
 
-    play = best_play(flat, cost)
-    residuals, shifts, speeds = attempt(play)
+    play, drift = best_lash(flat, cost)
+    residuals, shifts, speeds = attempt(play, drift)
     found = angle + float(shifts[0])
     if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
         found += 0.5 * float(residuals.max() + residuals.min())
-    return Start(found, float(speeds[0]), play)
+    return Start(found, float(speeds[0]), play, drift)
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

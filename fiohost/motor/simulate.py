@@ -43,11 +43,14 @@ class Excitation:
 
 
 class Start(NamedTuple):
-    """How a run begins: the angle that the encoder sees, the speed, and where in a gap the motor stands, -1 to 1."""
+    """How a run begins: the angle that the encoder sees, the speed, where in a gap the motor stands, -1 to 1, and how
+    much faster than the motor a load free in the gap drifts.
+    """
 
     angle: float
     speed: float
     play: float = 0.0
+    drift: float = 0.0
 
 
 def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
@@ -57,7 +60,7 @@ def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
 
 
 def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
-    """The kernel's state at a start: motor and load at one speed, the gap between them taken up by ``play``."""
+    """The kernel's state at a start, the gap between motor and load taken up by ``play``."""
     state = np.zeros(STATE_SIZE)
     lead = 0.5 * p[GAP] * start.play if on[BACKLASH] else 0.0
     state[THETA] = state[LOAD_THETA] = start.angle
@@ -65,8 +68,9 @@ def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
         state[LOAD_THETA] -= lead
     else:
         state[THETA] += lead
-    state[OMEGA] = state[LOAD_OMEGA] = start.speed
-    state[CONTACT] = start.play if abs(start.play) == 1.0 else 0.0
+    state[OMEGA] = start.speed
+    state[LOAD_OMEGA] = start.speed + start.drift
+    state[CONTACT] = start.play if abs(start.play) == 1.0 and start.drift == 0.0 else 0.0
     return state
 
 
