@@ -39,6 +39,8 @@ CHAOS = 3.0  # times the reference's own sensitivity to 1e-9 rad
 LOOSER = 10.0  # the reference's tolerance for its own error
 SIGNALS = ("staircase", "multisine", "closed loop")
 # Rows of the table with something of the draw held fast.
+EDGES = "edges"
+EDGES_S = 0.2
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "backlash, a disc of no inertia": ("backlash", {"load_inertia_kgm2": 0.0}),
     "backlash, two inertias": ("backlash", {"load_inertia_kgm2": 0.5 * MOTOR["J_kgm2"]}),
@@ -85,6 +87,16 @@ def staircase(rng: np.random.Generator, steps: int) -> Commands:
     return modes, duties
 
 
+def short_staircase(rng: np.random.Generator, steps: int) -> Commands:
+    """Levels to +-80 %, 25 ms each, a standby and a brake among them."""
+    modes, duties = np.ones(steps, np.int64), np.zeros(steps)
+    for first in range(0, steps, 5):
+        modes[first : first + 5], duties[first : first + 5] = on_the_wire(rng.uniform(-80.0, 80.0))
+    modes[15:20], modes[30:35] = 0, 2
+    duties[modes != 1] = 0.0
+    return modes, duties
+
+
 def multisine(rng: np.random.Generator, steps: int) -> Commands:
     """Ten lines from 0.1 to 8 Hz, +-60 % in all, a new duty at every step."""
     time_s = np.arange(steps) * STEP_S
@@ -118,8 +130,13 @@ def run_case(kind: str, label: str, seed: int, signal: str, seconds: float) -> R
     """Board and reference on one record."""
     began = time.monotonic()
     plant = single(label, seed) if kind == "effect" else drawn_pair(np.random.default_rng(seed))
-    steps, rng = round(seconds / STEP_S), np.random.default_rng([seed, SIGNALS.index(signal)])
-    if signal == "closed loop":
+    if signal == EDGES and "parameter_change" in plant.effects:
+        change = {**plant.effects["parameter_change"], "time_s": 0.5 * seconds}
+        plant = plant_with({"parameter_change": change})
+    steps, rng = round(seconds / STEP_S), np.random.default_rng([seed, len(signal)])
+    if signal == EDGES:
+        run = driven(plant, *short_staircase(rng, steps), edges=True)
+    elif signal == "closed loop":
         run = closed_loop(plant, rng, steps)
     else:
         run = driven(plant, *(staircase if signal == "staircase" else multisine)(rng, steps))
@@ -166,6 +183,8 @@ def cases(pairs: int, rows: list[Row], seconds: float) -> Iterator[tuple[str, st
     for label in labels():
         done = {row["signal"]: row["seed"] for row in rows if row["kind"] == "effect" and row["label"] == label}
         seed = next(iter(done.values()), secrets.randbelow(2**31))
+        if EDGES not in done:
+            yield "effect", label, seed, EDGES, EDGES_S
         yield from (("effect", label, seed, signal, seconds) for signal in SIGNALS if signal not in done)
     seeds = list(dict.fromkeys(row["seed"] for row in rows if row["kind"] == "pair"))
     seeds += [secrets.randbelow(2**31) for _ in range(pairs - len(seeds))]

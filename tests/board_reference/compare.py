@@ -28,6 +28,7 @@ class Run:
     duties: np.ndarray
     states: tuple[State, ...]
     counts: np.ndarray
+    edges: bool = False
 
     @property
     def two_bodies_with_play(self) -> bool:
@@ -46,15 +47,15 @@ def state_of(motor: Motor) -> State:
     return State(x, float(m[CONTACT]), bool(m[STOPPED]))
 
 
-def driven(plant: Plant, modes: np.ndarray, duties: np.ndarray) -> Run:
-    """The board's motor under a record of commands."""
-    motor = Motor(plant)
+def driven(plant: Plant, modes: np.ndarray, duties: np.ndarray, *, edges: bool = False) -> Run:
+    """The board's motor under a record of commands; ``edges``: with every edge of the PWM resolved."""
+    motor = Motor(plant, pwm="edge_resolved" if edges else "averaged")
     states, counts = [], np.zeros(len(duties), np.int64)
     for k in range(len(duties)):
         states.append(state_of(motor))
         counts[k] = motor._m[COUNT]
         motor.run(int(modes[k]), float(duties[k]), STEP_S)
-    return Run(plant, modes, duties, tuple(states), counts)
+    return Run(plant, modes, duties, tuple(states), counts, edges)
 
 
 def solved(
@@ -63,7 +64,7 @@ def solved(
     """Angles in degrees and counts of the reference from the board's state at ``first``, before each command."""
     start = State(run.states[first].x.copy(), run.states[first].contact, run.states[first].resting)
     start.x[[0, 3]] += nudge
-    reference = Reference(run.plant, start, RTOL * looser, ATOL * looser)
+    reference = Reference(run.plant, start, RTOL * looser, ATOL * looser, run.edges)
     angles, counts = reference.angles(run.modes, run.duties, STEP_S, first, last)
     return np.degrees(angles[:-1]), counts[:-1]
 

@@ -47,8 +47,9 @@ TAKEN: dict[str, tuple[str, str, float]] = {
 # Set as the run goes on: the command, what has changed, and who moves which way, is held, touches or lets flow.
 REGIME = ("duty", "standby", "inertia", "friction", "gain", "side", "held", "resting", "contact", "pressed", "flow")
 # resting: on the end of travel (the load, where there are two bodies); pressed: the closed face of a gap with a spring.
-# limited: current at its limit, its sign; half: half the play; load_J: inertia beyond gap or spring.
-OTHER = ("half", "load_J", "fast", "limited")
+# limited: current at its limit, its sign; sag: the supply's share of the resistance, ohm; half: half the play;
+# load_J: inertia beyond gap or spring.
+OTHER = ("half", "load_J", "fast", "limited", "sag")
 RECORD = np.dtype([(name, np.float64) for name in (*MOTOR, *TAKEN, *OTHER, *REGIME)])
 
 # State x: angle, speed, current, load's angle and speed, bristle, winding's warmth (K), grease's warmth (0..1).

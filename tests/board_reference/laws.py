@@ -33,7 +33,7 @@ def full_volts(t, c):
 @law
 def hot_ohms(x, c):
     q = c[0]
-    return q.R * (1.0 + q.alpha * x[6]) + q.source * (q.duty / 100.0) ** 2
+    return q.R * (1.0 + q.alpha * x[6]) + q.sag
 
 
 @law

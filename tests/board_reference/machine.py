@@ -49,9 +49,12 @@ class Margin:
 
 
 class Reference:
-    """Angles of a plant driven by duties held for ``span_s`` each, from rest at time 0 or from a given state."""
+    """Angles of a plant driven by duties held for ``span_s`` each, from rest at time 0 or from a given state.
 
-    def __init__(self, plant: Plant, start: State, rtol: float = RTOL, atol: float = ATOL) -> None:
+    ``edges``: every period of the PWM in its two parts, in place of their mean.
+    """
+
+    def __init__(self, plant: Plant, start: State, rtol: float = RTOL, atol: float = ATOL, edges: bool = False) -> None:
         self.plant, self.rtol, self.atol = plant, rtol, atol
         self.c = record(plant)
         self.q = self.c[0]
@@ -65,6 +68,7 @@ class Reference:
         self.delay = plant.effects.get("transport_delay", {}).get("delay_s", 0.0)
         self.change = plant.effects.get("parameter_change", {})
         self.stride = LONGEST_S
+        self.edges, self.drop = edges, float(self.q["drop"])
         self.encoder = Encoder(plant, self.disc)
 
     @property
@@ -319,7 +323,11 @@ class Reference:
                 until = min(stop, act[j] if j < len(act) else math.inf)
                 if now < change_at - 1e-12:
                     until = min(until, change_at)
-                self.command(int(modes[j - 1]) if j else STANDBY, float(duties[j - 1]) if j else 0.0)
+                sent = (int(modes[j - 1]), float(duties[j - 1])) if j else (STANDBY, 0.0)
+                if self.edges:
+                    until = self.segment(now, until, *sent)
+                else:
+                    self.command(*sent)
                 if now >= change_at - 1e-12:
                     self.q[self.change["which"]] = self.change["ratio"]
                 self.run(now, until)
@@ -327,8 +335,30 @@ class Reference:
         return np.array(seen), np.array(counts)
 
     def command(self, mode: int, duty: float) -> None:
-        """A command at the bridge; fast decay without pulses leaves it open."""
+        """A command at the bridge, averaged over a period; fast decay without pulses leaves it open."""
         q = self.q
         q["duty"] = effective(self.plant, duty)
         q["fast"] = float(mode == DRIVEN and "fast_decay" in self.plant.effects)
         q["standby"] = float(mode == STANDBY or (q["fast"] and q["duty"] == 0.0))
+        q["sag"] = q["source"] * (q["duty"] / 100.0) ** 2
+
+    def segment(self, t: float, end: float, mode: int, duty: float) -> float:
+        """The bridge in one part of a period of the PWM, its edges resolved; returns the time of the next edge."""
+        self.command(mode, duty)
+        if mode != DRIVEN:
+            return end
+        q = self.q
+        share, way = min(abs(q["duty"]) / 100.0, 1.0), sign(q["duty"])
+        period = math.floor(t / laws.PERIOD_S + 1e-6)
+        q["standby"] = q["fast"] = q["sag"] = 0.0
+        q["drop"] = self.drop
+        if t / laws.PERIOD_S - period < share - 1e-6:
+            # The mean over a period of what the supply's resistance takes is borne by the pulse.
+            q["duty"], q["sag"] = 100.0 * way, q["source"] * share
+            return min(end, (period + share) * laws.PERIOD_S)
+        if "fast_decay" in self.plant.effects:
+            # Open: the current runs down against the supply, through a pair of diodes.
+            q["duty"] = way
+            q["drop"] += laws.full_volts(t, self.c) + q["diode"] if way else q["supply"] - self.drop
+        q["duty"] = 0.0
+        return min(end, (period + 1) * laws.PERIOD_S)
