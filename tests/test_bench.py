@@ -106,6 +106,20 @@ def test_each_run_begins_at_rest_braked_with_its_own_time(tmp_path: Path) -> Non
     assert first.metadata["run_id"] == second.metadata["run_id"]
 
 
+def test_the_time_of_the_bench_is_that_of_the_board_in_lock_step(tmp_path: Path) -> None:
+    """What drifts or warms goes on between two runs, also while the bench watches the shaft come to rest."""
+    board = WatchedTransport()
+    with bench_on(board) as bench:
+        bench.drive(80.0, 0.5)
+        begun = []
+        for _ in range(2):
+            before = board.received
+            log = bench.drive(-80.0, 0.5)
+            begun.append((before * 0.005, float(log.metadata["bench_time_s"])))
+    for left_s, begun_s in begun:
+        assert left_s < begun_s <= left_s + 0.11  # 0.1 s of rest are waited for
+
+
 def test_lock_step_gives_the_same_data_in_real_and_in_virtual_time() -> None:
     short = Experiment("short", [Pulses(levels=(60.0, -60.0), on_s=0.1, off_s=0.05, rest="standby", duration_s=0.3)])
     logs = []

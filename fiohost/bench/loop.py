@@ -86,7 +86,7 @@ class Bench:
         self._codec = profile.codec
         self._due_s = self.clock.now_s()
         self._opened_s = self._due_s
-        self._received = 0
+        self._received = 0  # steps of a board in lock step
         self._lost_in_a_row = 0
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
         transport.open()
@@ -261,6 +261,7 @@ class Bench:
         self._received += 1
         self._lost_in_a_row = self._lost_in_a_row + 1 if problem else 0
         if problem and self._lost_in_a_row * self.sample_time_s >= TELEMETRY_TIMEOUT_S:
+            self._lost_in_a_row = 0
             if isinstance(problem, ReportError):
                 raise problem
             raise TelemetryTimeoutError(
@@ -326,6 +327,7 @@ class Bench:
         for _ in range(STILL_TICKS):
             if report is not None:
                 self.transport.send(report)
+            self._received += 1
             with suppress(TelemetryTimeoutError, ReportError):
                 seen.add(self._codec.decode(self.transport.receive(TELEMETRY_TIMEOUT_S)).pos)
         return len(seen) == 1
