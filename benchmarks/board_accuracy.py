@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from board_reference.compare import STEP_S, Run, distance, driven, sensitivity, solved, state_of, windows
-from board_reference.draws import MOTOR, SIZES, drawn, drawn_pair, plant_with
+from board_reference.draws import MOTOR, SIZES, WINDING_H, drawn, drawn_pair, plant_with
 
 from firmware_model.bridge import drive
 from firmware_model.motor import Motor
@@ -133,7 +133,7 @@ def run_case(kind: str, label: str, seed: int, signal: str, seconds: float) -> R
     if signal == EDGES and "parameter_change" in plant.effects:
         change = {**plant.effects["parameter_change"], "time_s": 0.5 * seconds}
         plant = plant_with({"parameter_change": change})
-    steps, rng = round(seconds / STEP_S), np.random.default_rng([seed, len(signal)])
+    steps, rng = round(seconds / STEP_S), np.random.default_rng([seed, (*SIGNALS, EDGES).index(signal)])
     if signal == EDGES:
         run = driven(plant, *short_staircase(rng, steps), edges=True)
     elif signal == "closed loop":
@@ -224,13 +224,14 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("accuracy.jsonl"))
     parser.add_argument("--page", type=Path, help="write the page from this file of rows")
+    parser.add_argument("--speeds", type=Path, help="what board.py --json wrote, for the page")
     options = parser.parse_args()
     if options.page is None:
         work(options, lambda text: print(text, file=sys.stderr, flush=True))
         return
     from board_page import write
 
-    write(read(options.page))
+    write(read(options.page), MOTOR, WINDING_H, options.speeds)
 
 
 if __name__ == "__main__":
