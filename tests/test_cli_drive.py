@@ -160,9 +160,7 @@ def test_an_unwritable_log_stops_before_anything_is_driven() -> None:
 
 
 def start(*arguments: str, **more: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*FIOHOST, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
-    )
+    return subprocess.Popen([*FIOHOST, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
 
 
 def wait_for_rows(path: Path, count: int) -> None:
