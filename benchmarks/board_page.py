@@ -87,25 +87,24 @@ def speed(plant: Plant, duty_pct: float, pwm: str) -> float:
     return float(np.degrees(states[steps, THETA] - states[steps // 2, THETA]))
 
 
-def ripple(motor: dict[str, float], inductance_H: float) -> tuple[list[str], list[float]]:
-    """Rows of the two modes at constant duty, and the greatest change in percent for each of ``RIPPLES``."""
+def ripple(motor: dict[str, float], inductance_H: float) -> list[str]:
+    """Rows of the two modes at constant duty."""
     plants = [
         make_plant({**motor, "L_H": inductance_H if own is None else own, "effects": effects}, name)
         for name, own, effects in RIPPLES
     ]
-    lines, greatest = [], [0.0] * len(RIPPLES)
+    lines = []
     for duty in DUTIES_PCT:
         cells = [f"{duty:g} %"]
-        for i, plant in enumerate(plants):
+        for plant in plants:
             mean, edges = speed(plant, duty, "averaged"), speed(plant, duty, "edge_resolved")
             change = f"{edges - mean:+.2g} deg/s" if edges else "none"
             if mean:
-                greatest[i] = max(greatest[i], abs(100.0 * (edges - mean) / mean))
                 change = f"{100.0 * (edges - mean) / mean:+.2g} %"
                 change = "below 1e-6 %" if abs(edges - mean) < 1e-8 * abs(mean) else change
             cells += [f"{mean:.3f} deg/s" if mean else "stands", change]
         lines.append(f"| {' | '.join(cells)} |")
-    return lines, greatest
+    return lines
 
 
 def speeds(path: Path | None) -> str:
@@ -128,7 +127,6 @@ def write(rows: list[Row], motor: dict[str, float], inductance_H: float, timing:
     effects = [row for row in rows if row["kind"] == "effect" and row["signal"] != EDGES]
     pairs = [row for row in rows if row["kind"] == "pair"]
     edges = [row for row in rows if row["signal"] == EDGES]
-    ripples, greatest = ripple(motor, inductance_H)
     by_label = dict(sorted(grouped(effects, "label").items(), key=lambda item: (item[0] != "no effect", item[0])))
     chosen = {label: group[0]["seed"] for label, group in by_label.items()}
     by_seed = sorted(grouped(pairs, "seed").items(), key=lambda item: item[1][0]["label"])
@@ -145,10 +143,8 @@ def write(rows: list[Row], motor: dict[str, float], inductance_H: float, timing:
             f"| {row['label']} | {short(row['error_deg'])} | {short(row['reference_deg'])} | {row['counts_differ']} |"
             for row in sorted(edges, key=lambda row: (row["label"] != "no effect", row["label"]))
         ),
-        ripple="\n".join(ripples),
+        ripple="\n".join(ripple(motor, inductance_H)),
         ripple_head=" | ".join(f"{name} | change" for name, _, _ in RIPPLES),
-        ripple_words="Greatest change: "
-        + ", ".join(f"{name} {share:.1e} %" for (name, _, _), share in zip(RIPPLES, greatest, strict=True)),
         speeds=speeds(timing),
         seeds=", ".join(f"{label} {seed}" for label, seed in chosen.items() if label != "no effect"),
     )
