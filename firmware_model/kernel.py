@@ -13,6 +13,7 @@ from firmware_model.layout import (
     CURRENT,
     DUTY,
     FLOW,
+    FOLDED,
     HEAD,
     LOST_WAY,
     MEAN,
@@ -47,7 +48,9 @@ def run_until(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
             return
         fresh = advance_step(y, r, m, w, until, p, on, r[DUTY], fresh)
         follow(y, m, p)
-        read_encoder(y, r, m, p, on)
+        if fresh or m[FOLDED] != 0:  # a motion turns round only at an event: until then the same edges pass
+            read_encoder(y, r, m, p, on)
+    read_encoder(y, r, m, p, on)
 
 
 @part

@@ -15,6 +15,7 @@ from firmware_model.kernel import meters, run, run_many
 from firmware_model.layout import (
     BODIES,
     COUNT,
+    CURRENT,
     DIRECTION,
     EDGES,
     EVENTS,
@@ -50,6 +51,7 @@ FloatArray = npt.NDArray[np.float64]
 FASTEST_WINDING_S = 2e-5
 # Of the fastest motion in one PWM period; the steps' error in its frequency is a 24th of the square.
 STIFF_RADIANS = 0.03
+METER_PARTS = 40  # of a PWM period
 
 
 def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
@@ -150,6 +152,7 @@ class Motor:
         m[PLAIN], m[STIFF], m[FOLDED] = is_plain(plant), is_stiff(plant, p), is_folded(plant)
         r[STRIDE] = 0.001
         self._y, self._r, self._m, self._p, self._on = y, r, m, p, on
+        self._command = 0, 0.0  # mode and duty latched last
         self._queue = np.zeros((3, QUEUE))
         self._work = np.zeros((WORK_ROWS, max(state_count(), ROW)))
         run(*self._arrays(), 0, 0.0, 0.0)  # compiled here, not in the first task step
@@ -188,13 +191,28 @@ class Motor:
 
     @property
     def current_A(self) -> float:
-        """Mean winding current now."""
-        return float(meters(*self._arrays())[0])
+        """Mean winding current now; where edges are resolved, of the period that begins."""
+        return self._meters()[0]
 
     @property
     def voltage_V(self) -> float:
-        """Mean voltage across the winding now."""
-        return float(meters(*self._arrays())[1])
+        """Mean voltage across the winding now; where edges are resolved, of the period that begins."""
+        return self._meters()[1]
+
+    def _meters(self) -> tuple[float, float]:
+        """Mean current in A and voltage in V."""
+        if self._m[PHASE] == MEAN:
+            current, volts = meters(*self._arrays())
+            return float(current), float(volts)
+        copies = tuple(array.copy() for array in self._arrays())  # what is looked at goes on undisturbed
+        y, p = copies[0], self._p
+        theta, first, mean = y[THETA], y[CURRENT], 0.0
+        for _ in range(METER_PARTS):
+            before = y[CURRENT]
+            run(*copies, *self._command, PERIOD_S / METER_PARTS)
+            mean += 0.5 * (before + y[CURRENT]) / METER_PARTS
+        ramp = (p[C.L] * (y[CURRENT] - first) + p[C.KE] * (y[THETA] - theta)) / PERIOD_S
+        return float(mean), float(p[C.R] * mean + ramp)
 
     def set_external_torque(self, torque_Nm: float) -> None:
         """Torque on the output shaft from outside, positive forward, from now on."""
@@ -211,6 +229,7 @@ class Motor:
 
     def run(self, mode: int, duty_pct: float, span_s: float) -> None:
         """Let ``span_s`` pass with the bridge in ``mode`` at a signed duty in percent."""
+        self._command = mode, duty_pct
         run(*self._arrays(), mode, duty_pct, span_s)
         self._check()
 
@@ -226,6 +245,8 @@ class Motor:
         """Many task steps; counts (n,) and states (n, state size, SI units) as they were before each."""
         counts = np.zeros(len(duties_pct), np.int64)
         states = np.zeros((len(duties_pct), len(self._y)))
+        if len(modes):
+            self._command = int(modes[-1]), float(duties_pct[-1])
         run_many(*self._arrays(), modes, duties_pct, span_s, counts, states)
         self._check()
         return counts, states

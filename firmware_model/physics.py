@@ -72,26 +72,31 @@ def pulse(duty, on, off, ohms, henry):  # type: ignore[no-untyped-def]
 
 
 @part
-def fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
-    """Fast decay, in the duty's direction: back-emf and supply in V, mean of the pulses in A, whether they cease."""
+def fast_circuit(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
+    """Fast decay, in the duty's direction: supply and back-emf in V, ohm, loss in V, greatest current in A."""
     theta, omega = y[THETA], y[OMEGA]
     way = 1.0 if duty > 0.0 else -1.0
     supply = way * voltage(way * p[SUPPLY], theta, omega, 0.0, 0.0, duty, time, y, p, on)
     ohms = resistance(p[R], theta, omega, 0.0, 0.0, duty, time, y, p, on)
     lost = drop(0.0, theta, omega, 0.0, 0.0, duty, time, y, p, on)
-    emf = way * p[KE] * omega
-    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L])
     most = ceiling(math.inf, theta, omega, 0.0, 0.0, duty, time, y, p, on)
-    return way, supply, emf, ohms, lost, min(mean, most), ceases
+    return way, supply, way * p[KE] * omega, ohms, lost, most
+
+
+@part
+def pulses(duty, p, supply, emf, ohms, lost, most):  # type: ignore[no-untyped-def]
+    """Fast decay, in the duty's direction: mean current in A if each pulse begins from none, and whether it ceases."""
+    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L])
+    return min(mean, most), ceases
 
 
 @part
 def fast_electrical(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Current and its rate with the bridge open between the pulses."""
-    way, supply, emf, ohms, lost, mean, _ = fast(time, y, m, duty, p, on)
+    way, supply, emf, ohms, lost, most = fast_circuit(time, y, m, duty, p, on)
     if m[FLOW] == CEASING:
+        mean, _ = pulses(duty, p, supply, emf, ohms, lost, most)
         return way * mean, 0.0
-    most = ceiling(math.inf, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
     current = min(max(way * y[CURRENT], -most), most)
     if m[FLOW] * way < 0.0:
         # Against the duty the current meets the supply all the time, through the transistors or the diodes.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from firmware_model.circuit import DRIVEN, STANDBY, phase_broken, settle_phase, sign
+from firmware_model.circuit import DRIVEN, PERIOD_S, STANDBY, phase_broken, settle_phase, sign
 from firmware_model.compiled import part
 from firmware_model.hooks import drop
 from firmware_model.layout import CURRENT, FLOW, MEAN, MODE, OMEGA, PHASE, THETA, C
-from firmware_model.physics import CEASING, fast, pressure
+from firmware_model.physics import CEASING, fast_circuit, pressure, pulses
 
 L, FAST = int(C.L), int(C.FAST)
 SMALL_A = 1e-12
@@ -25,19 +25,24 @@ def blocked(time, y, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def switched(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Whether a current under fast decay has left its regime: against the duty, continuous, ceasing in each pulse."""
-    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
+    way, supply, emf, ohms, lost, most = fast_circuit(time, y, m, duty, p, on)
+    current = way * y[CURRENT]
+    if m[FLOW] != CEASING:
+        if m[FLOW] * way < 0.0:
+            return current > 0.0
+        if current * p[L] > 0.01 * abs(duty) * PERIOD_S * max(supply - lost - emf, 0.0):
+            return False  # more than one pulse alone can give
+    mean, ceases = pulses(duty, p, supply, emf, ohms, lost, most)
     if m[FLOW] == CEASING:
         return not ceases or emf > supply + lost
-    current = way * y[CURRENT]
-    if m[FLOW] * way < 0.0:
-        return current > 0.0
     return ceases and current < mean
 
 
 @part
 def settle_fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     """Regime of the current under fast decay."""
-    way, supply, emf, _, lost, mean, ceases = fast(time, y, m, duty, p, on)
+    way, supply, emf, ohms, lost, most = fast_circuit(time, y, m, duty, p, on)
+    mean, ceases = pulses(duty, p, supply, emf, ohms, lost, most)
     current = way * y[CURRENT]
     if current < -SMALL_A or (current <= SMALL_A and emf > supply + lost):
         m[FLOW] = -int(way)
