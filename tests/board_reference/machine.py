@@ -345,13 +345,13 @@ class Reference:
     def segment(self, t: float, end: float, mode: int, duty: float) -> float:
         """The bridge in one part of a period of the PWM, its edges resolved; returns the time of the next edge."""
         self.command(mode, duty)
+        q = self.q
+        q["drop"] = self.drop
         if mode != DRIVEN:
             return end
-        q = self.q
         share, way = min(abs(q["duty"]) / 100.0, 1.0), sign(q["duty"])
         period = math.floor(t / laws.PERIOD_S + 1e-6)
         q["standby"] = q["fast"] = q["sag"] = 0.0
-        q["drop"] = self.drop
         if t / laws.PERIOD_S - period < share - 1e-6:
             # The mean over a period of what the supply's resistance takes is borne by the pulse.
             q["duty"], q["sag"] = 100.0 * way, q["source"] * share
