@@ -162,11 +162,11 @@ class Search:
         rejected: list[str | None] = []
         for score, found, share in zip(scores, refits, shares, strict=False):
             why = objection(found, score.effect.name)
-            if share <= chance:
+            left = float(np.sqrt(found.cost / found.samples)) / floor
+            if share <= chance and left > FINISHED:
                 why = (
                     f"removes {100 * max(share, 0.0):.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
                 )
-            left = float(np.sqrt(found.cost / found.samples)) / floor
             if score.effect.once and left > FINISHED:
                 why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
             rejected.append(why)
@@ -183,8 +183,8 @@ class Search:
             validated = checked.get(i)
             if validated is not None:
                 gain = 1.0 - validated.cost / base.cost
-                better = float(np.mean(validated.fold_costs < base.fold_costs))
-                if gain < LEAST_CV_GAIN or better <= 0.5:
+                change = validated.fold_costs / np.maximum(base.fold_costs, 1e-300) - 1.0
+                if gain < LEAST_CV_GAIN or np.sum(change < -LEAST_CV_GAIN) <= np.sum(change > LEAST_CV_GAIN):
                     why = f"changes the error on left-out training records by {-100 * gain:+.1f} % only"
                     validated = None
             found_all.append(Candidate(score.effect.name, share, why, validated))

@@ -23,6 +23,7 @@ MAX_ITERATIONS = 40
 # A step that promises less than this share of what the tolerance asks for is not tried.
 PROMISED = 0.1
 PLAY_ROUNDS = 2
+WARMTH_STEP = 0.01
 # Where the motor stood in its gap shows until both have met on either side.
 LASH_SHOWS_S = 4.0
 
@@ -63,7 +64,7 @@ class _Point:
 
 
 def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> np.ndarray:
-    """Derivatives (n, 0..2) of the output by the initial angle and speed, where these are free."""
+    """Derivatives (n, 0..3) of the output by the initial angle, speed and warmth, where these are free."""
     columns: list[np.ndarray] = []
     if record.kind == ANGLE:
         if flat.bends:
@@ -74,7 +75,22 @@ def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> n
     if not record.at_rest:
         step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
         columns.append((free_output(record, flat, start._replace(speed=start.speed + step)) - y) / step)
+    if flat.warms:
+        step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
+        columns.append((free_output(record, flat, start._replace(warmth=start.warmth + step)) - y) / step)
     return np.column_stack(columns) if columns else np.empty((len(y), 0))
+
+
+def _moved_start(record: Record, start: Start, shift: np.ndarray) -> Start:
+    """A start moved along the columns of ``_start_columns``."""
+    left = [float(s) for s in shift]
+    if record.kind == ANGLE:
+        start = start._replace(angle=start.angle + left.pop(0))
+    if not record.at_rest:
+        start = start._replace(speed=start.speed + left.pop(0))
+    if left:
+        start = start._replace(warmth=min(max(start.warmth + left.pop(0), 0.0), 1.0))
+    return start
 
 
 class _Problem:
@@ -197,12 +213,7 @@ def _solve(
                 if part.size == 0:
                     continue
                 shift = part[:, -1] - part[:, :-1] @ step
-                start = trial.starts[i]
-                if record.kind == ANGLE:
-                    start = start._replace(angle=start.angle + float(shift[0]))
-                if not record.at_rest:
-                    start = start._replace(speed=start.speed + float(shift[-1]))
-                trial.starts[i] = start
+                trial.starts[i] = _moved_start(record, trial.starts[i], shift)
             new_residuals = problem.residuals(trial)
             new_cost = _sum_of_squares(new_residuals)
             if np.isfinite(new_cost) and new_cost <= cost:

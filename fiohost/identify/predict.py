@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -13,7 +13,18 @@ from fiohost.identify.windows import fit_windows, read_output
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
-from fiohost.motor.state import BACKLASH, GAIN, GAP, SHARE, SMALLEST_SHARE, STATE_SIZE, THETA, WORK_SIZE
+from fiohost.motor.state import (
+    BACKLASH,
+    GAIN,
+    GAP,
+    HEATING_ON,
+    SHARE,
+    SMALLEST_SHARE,
+    STATE_SIZE,
+    THETA,
+    WARMING_ON,
+    WORK_SIZE,
+)
 
 # Where a motor may stand in its gap, and how fast a load of its own inertia may drift there, in gaps per second: after
 # a sudden stop it goes on from wall to wall.
@@ -34,16 +45,19 @@ class Flat:
     seen: int
     bends: bool
     gap: bool
+    warms: bool
 
     @classmethod
     def of(cls, model: Model) -> Flat:
         bends = any(effects()[name].angle_bound for name in model.effects)
-        return cls(model.vector(), model.switches(), model.substep_s(), THETA, bends, False).at(model.vector())
+        on = model.switches()
+        warms = bool(on[HEATING_ON] or on[WARMING_ON])
+        return cls(model.vector(), on, model.substep_s(), THETA, bends, False, warms).at(model.vector())
 
     def at(self, p: np.ndarray) -> Flat:
         """The same model with other values in its parameter array."""
         gap = bool(self.on[BACKLASH]) and float(p[GAP]) > 0.0
-        return Flat(p, self.on, self.substep_s, seen_angle(p, self.on), self.bends, gap)
+        return replace(self, p=p, seen=seen_angle(p, self.on), gap=gap)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
@@ -151,7 +165,19 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> St
     found = angle + float(shifts[0])
     if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
         found += 0.5 * float(residuals.max() + residuals.min())
-    return Start(found, float(speeds[0]), play, drift)
+    start = Start(found, float(speeds[0]), play, drift)
+    return start._replace(warmth=initial_warmth(record, flat, start, data)) if flat.warms else start
+
+
+def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
+    """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it."""
+
+    def cost(warmth: float) -> float:
+        residual = y - free_output(record, flat, start._replace(warmth=warmth))
+        return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
+
+    found = minimize_scalar(cost, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3, "maxiter": 20})
+    return float(found.x) if found.fun < cost(0.0) else 0.0
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

@@ -12,6 +12,7 @@ from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.state import (
     BACKLASH,
+    BEARING,
     CONTACT,
     GAP,
     LOAD_OMEGA,
@@ -20,6 +21,7 @@ from fiohost.motor.state import (
     SIDE,
     STATE_SIZE,
     THETA,
+    WINDING,
     WORK_SIZE,
 )
 
@@ -43,14 +45,15 @@ class Excitation:
 
 
 class Start(NamedTuple):
-    """How a run begins: the angle that the encoder sees, the speed, where in a gap the motor stands, -1 to 1, and how
-    much faster than the motor a load free in the gap drifts.
+    """How a run begins: the angle that the encoder sees, the speed, where in a gap the motor stands, -1 to 1, how much
+    faster than the motor a load free in the gap drifts, and how warm winding or bearings are, 0 to 1.
     """
 
     angle: float
     speed: float
     play: float = 0.0
     drift: float = 0.0
+    warmth: float = 0.0
 
 
 def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
@@ -69,6 +72,7 @@ def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
     else:
         state[THETA] += lead
     state[OMEGA] = start.speed
+    state[WINDING] = state[BEARING] = start.warmth
     state[LOAD_OMEGA] = start.speed + start.drift
     state[CONTACT] = start.play if abs(start.play) == 1.0 and start.drift == 0.0 else 0.0
     return state
