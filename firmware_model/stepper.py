@@ -13,7 +13,7 @@ from firmware_model.physics import rates
 
 LONGEST_S = 0.005
 SHORTEST_S = 1e-9
-HALVINGS = 46
+HALVINGS = 42
 ROUNDS, FINER = 4, 2.0**-16
 
 # Error allowed in one step, per state: rad, rad/s, A; anything else is scaled like an angle.
@@ -85,12 +85,11 @@ def error(h, w, n):  # type: ignore[no-untyped-def]
 
 
 @part
-def between(y, h, share, w, n):  # type: ignore[no-untyped-def]
-    """The state at a share 0..1 of the step, of order 4, into w[0]; w[1] to w[7] hold its rates, w[8] its end.
+def interpolate(y, h, w, n):  # type: ignore[no-untyped-def]
+    """Coefficients of the step's interpolant of order 4, into w[2] to w[5]; w[1] to w[7] hold its rates, w[8] its end.
 
     Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.6.
     """
-    rest = 1.0 - share
     for i in range(n):
         whole = w[8, i] - y[i]
         first = h * w[1, i] - whole
@@ -103,7 +102,15 @@ def between(y, h, share, w, n):  # type: ignore[no-untyped-def]
             - 1453857185.0 / 822651844.0 * w[6, i]
             + 69997945.0 / 29380423.0 * w[7, i]
         )
-        w[0, i] = y[i] + share * (whole + rest * (first + share * (second + rest * third)))
+        w[2, i], w[3, i], w[4, i], w[5, i] = whole, first, second, third
+
+
+@part
+def between(y, share, w, n):  # type: ignore[no-untyped-def]
+    """The state at a share 0..1 of the interpolated step, into w[0]."""
+    rest = 1.0 - share
+    for i in range(n):
+        w[0, i] = y[i] + share * (w[2, i] + rest * (w[3, i] + share * (w[4, i] + rest * w[5, i])))
 
 
 @part
@@ -116,10 +123,11 @@ def meet_event(y, r, h, w, m, duty, p, on):  # type: ignore[no-untyped-def]
     n = m[STATES]
     time = r[TIME]
     for _ in range(ROUNDS):
+        interpolate(y, h, w, n)
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            between(y, h, middle, w, n)
+            between(y, middle, w, n)
             if broken(time + middle * h, w[0], m, duty, p, on):
                 high = middle
             else:
