@@ -4,9 +4,12 @@ import math
 
 from firmware_model.effect import Effect, Parameter
 
+# A duty of the timer may lie just between two levels: it goes up, whatever the last digit of the product says.
+TIE = 1e-9
+
 
 def command(duty, p, k):  # type: ignore[no-untyped-def]
-    return math.copysign(math.floor(0.01 * abs(duty) * p[k] + 0.5) / p[k] * 100.0, duty)
+    return math.copysign(math.floor(0.01 * abs(duty) * p[k] + 0.5 + TIE) / p[k] * 100.0, duty)
 
 
 EFFECT = Effect(

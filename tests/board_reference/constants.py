@@ -82,7 +82,7 @@ def effective(plant: Plant, duty: float) -> float:
     q, size, sign = plant.effects, abs(duty), math.copysign(1.0, duty)
     if "pwm_resolution" in q:
         levels = q["pwm_resolution"]["levels"]
-        size = math.floor(size / 100.0 * levels + 0.5) * 100.0 / levels
+        size = round(size / 100.0 * levels + 1e-9) * 100.0 / levels  # from halfway up
     if "duty_curve" in q:
         size = 100.0 * (size / 100.0) ** q["duty_curve"]["exponent"]
     if "input_deadband" in q:
