@@ -13,7 +13,7 @@ from firmware_model.physics import rates
 
 LONGEST_S = 0.005
 SHORTEST_S = 1e-9
-HALVINGS = 42
+FINEST_S = 1e-11  # to which an event is known: at full speed less than a step may err
 ROUNDS, FINER = 4, 2.0**-16
 
 # Error allowed in one step, per state: rad, rad/s, A; anything else is scaled like an angle.
@@ -125,7 +125,7 @@ def meet_event(y, r, h, w, m, duty, p, on):  # type: ignore[no-untyped-def]
     for _ in range(ROUNDS):
         interpolate(y, h, w, n)
         low, high = 0.0, 1.0
-        for _ in range(HALVINGS):
+        while (high - low) * h > FINEST_S:
             middle = 0.5 * (low + high)
             between(y, middle, w, n)
             if broken(time + middle * h, w[0], m, duty, p, on):
