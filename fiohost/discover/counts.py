@@ -23,6 +23,10 @@ SPAN, REACH, FEW = 4, 1.5, 0.003
 COUNT_NOISE = 1.0 / np.sqrt(12.0)
 NOISE_SIGMAS = 5.0
 FOURTH_DIFFERENCE = np.sqrt(70.0)  # its noise gain
+TO_SIGMA = 1.4826  # a median of sizes, taken for a normal distribution's
+# At a steady speed of so many counts and a half a sample the counts' errors alternate by a quarter, the roughest that
+# counts alone can be; a fourth difference makes sixteen of one.
+ROUGHEST_COUNTS = 1.2 * TO_SIGMA * 0.25 * 16.0 / FOURTH_DIFFERENCE
 LEAST_MOVING = 50
 MOST_REPEATS = 3
 
@@ -109,7 +113,7 @@ def roughness(data: Counts) -> tuple[np.ndarray, np.ndarray]:
 
 def spread(values: np.ndarray) -> float:
     """Standard deviation of the bulk, from the median of sizes."""
-    return 1.4826 * float(np.median(np.abs(values))) if values.size else 0.0
+    return TO_SIGMA * float(np.median(np.abs(values))) if values.size else 0.0
 
 
 def doubt(data: Counts) -> float:
@@ -117,7 +121,7 @@ def doubt(data: Counts) -> float:
     rough, speed = roughness(data)
     moving = np.abs(speed) > AT_SPEED
     noise = spread(rough[moving]) if np.sum(moving) >= LEAST_MOVING else 0.0
-    return COUNTS_OF_DOUBT + reach(data) + (NOISE_SIGMAS * noise if noise > 1.5 * COUNT_NOISE else 0.0)
+    return COUNTS_OF_DOUBT + reach(data) + (NOISE_SIGMAS * noise if noise > ROUGHEST_COUNTS else 0.0)
 
 
 def jumps(data: Counts) -> np.ndarray:

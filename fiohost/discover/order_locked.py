@@ -6,6 +6,7 @@ one order at a time. A torque ripple moves the shaft by 1/speed to 1/speed squar
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ MOST_ORDERS = 3
 SETTLED = 0.4
 STEADY = 0.1
 TURNS, LEAST_SAMPLES = 2.0, 40
+MOST_TURNS = 6.0
 SEGMENTS = 12
 # Counts at steady speed make a sawtooth whose first harmonic is 1/pi counts; a beat with the sampling may lie anywhere.
 LEAST_COUNTS = 0.5
@@ -64,28 +66,36 @@ class _Segment:
         return int(0.4 * len(self.theta) / turns)
 
 
-def _segments(times_s: np.ndarray, angle: np.ndarray, duty: np.ndarray) -> list[_Segment]:
+def _pieces(angle: np.ndarray, duty: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and last sample of whole turns within settled rests of the command."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(duty) != 0) + 1, [len(duty)]))
-    found = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        a = int(a + SETTLED * (b - a))
-        if duty[a] == 0.0 or abs(angle[b - 1] - angle[a]) < 360.0 * TURNS:
+    for begin, b in zip(edges[:-1], edges[1:], strict=True):
+        a = int(begin + SETTLED * (b - begin))
+        turns = abs(float(angle[b - 1] - angle[a])) / 360.0
+        if duty[a] == 0.0 or turns < TURNS:
             continue
-        turns = np.trunc(abs(angle[b - 1] - angle[a]) / 360.0)
-        b = a + int(np.searchsorted(np.abs(angle[a:b] - angle[a]), 360.0 * turns))
+        each = np.floor(turns / max(np.ceil(turns / MOST_TURNS), 1.0))
+        marks = a + np.searchsorted(np.abs(angle[a:b] - angle[a]), np.arange(0.0, turns, each) * 360.0)
+        yield from zip(marks[:-1].tolist(), marks[1:].tolist(), strict=True)
+
+
+def _segments(times_s: np.ndarray, angle: np.ndarray, duty: np.ndarray) -> list[_Segment]:
+    found = []
+    for a, b in _pieces(angle, duty):
         if b - a < LEAST_SAMPLES:
             continue
         t = times_s[a:b] - times_s[a:b].mean()
-        t = t / np.max(np.abs(t))
-        parts = np.array_split(angle[a:b], 4)
-        speeds = np.array([p[-1] - p[0] for p in parts]) / [max(len(p) - 1, 1) for p in parts]
+        smooth, _ = np.linalg.qr(np.vander(t / np.max(np.abs(t)), 4))
+        y = angle[a:b]
+        parts = np.array_split(y, 4)
+        speeds = np.array([p[-1] - p[0] for p in parts]) / [len(p) - 1 for p in parts]
         if np.ptp(speeds) > STEADY * abs(speeds.mean()):
             continue
-        smooth, _ = np.linalg.qr(np.vander(t, 4))
-        y = angle[a:b]
         speed = float((y[-1] - y[0]) / (times_s[b - 1] - times_s[a]))
         found.append(_Segment(float(times_s[a]), speed, np.radians(y), y - smooth @ (smooth.T @ y), smooth))
-    return sorted(found, key=lambda s: len(s.rest), reverse=True)[:SEGMENTS]
+    by_speed = sorted(found, key=lambda s: abs(s.speed))
+    some = np.unique(np.linspace(0, len(found) - 1, min(SEGMENTS, len(found))).astype(int)) if found else ()
+    return sorted((by_speed[i] for i in some), key=lambda s: s.time_s)
 
 
 def ripples(times_s: np.ndarray, angle: np.ndarray, duty: np.ndarray, quantum: float) -> list[Ripple]:
