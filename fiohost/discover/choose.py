@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.floor import repeats
-from fiohost.discover.screen import Score
+from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit, fit, unchanged
+from fiohost.identify.fit import Fit, first_guess, fit, unchanged
 from fiohost.identify.intervals import covariance, estimates
 from fiohost.identify.record import Record, make_record
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 STARTS = 4
+ANEW_STARTS = 2
+ANEW_LAG_S = 0.1
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
 COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)
@@ -152,6 +154,19 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     starts = [base.model.with_effect(score.effect.name, trial) for trial in score.trials[:STARTS]]
     rough = [fit(m, records, starts=base.starts, max_iterations=5, tolerance=1e-2) for m in starts]
     return min(rough, key=lambda f: f.cost)
+
+
+def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
+    """As ``rough_fit``, but not from the base's values: those of a model that fits nothing lead nowhere."""
+
+    def attempt(trial: Trial) -> Fit:
+        guess = first_guess(base.model.with_effect(score.effect.name, trial), records)
+        near = fit(
+            guess.with_values({"linear.tau_s": ANEW_LAG_S}), records, windows=True, max_iterations=12, tolerance=1e-2
+        )
+        return fit(near.model, records, max_iterations=8, tolerance=1e-3)
+
+    return min((attempt(t) for t in score.trials[:ANEW_STARTS]), key=lambda f: f.cost)
 
 
 def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: bool = True) -> Fit:

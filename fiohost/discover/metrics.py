@@ -45,6 +45,7 @@ class Judgement:
     free_residual: np.ndarray
     window_residual: np.ndarray
     wide_windows_pct: float | None
+    windows: int
 
 
 def _figures(y: np.ndarray, free: np.ndarray, windows: np.ndarray, quantum: float) -> Errors:
@@ -79,7 +80,7 @@ def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgemen
     free = data - simulated
     windows = window_residuals(record, flat, states, data)
     figures = _figures(data, free, windows, record.quantum)
-    return Judgement(figures, start, simulated, free, windows, _wide_windows(record, windows))
+    return Judgement(figures, start, simulated, free, windows, _wide_windows(record, windows), len(record.windows) - 1)
 
 
 def pool(parts: Sequence[Errors]) -> Errors | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fiohost.discover.choose import (
     Validated,
+    fit_anew,
     folds,
     full_fit,
     indistinguishable,
@@ -38,6 +39,8 @@ WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 HOPELESS = 4.0
 FAR = 12.0
+# Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
+LOST = 10.0
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
@@ -149,7 +152,13 @@ class Search:
         whole = self.horizon_s is None
         worth = scores[: max(len(worth), LEAST_REFITTED) if whole else LEAST_REFITTED]
         self.say(f"refitting the best {len(worth)}")
+        pooled = pool([f.errors for f in stage.floors])
+        floor = pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else np.inf
         rough = each(lambda s: rough_fit(stage.fit, s, self.records), worth)
+        if min(f.rms for f in rough) > LOST * floor:
+            self.say("still far from the floor: beginning anew with each of them")
+            anew = each(lambda s: fit_anew(stage.fit, s, self.records), worth)
+            rough = [min(pair, key=lambda f: f.cost) for pair in zip(rough, anew, strict=True)]
         near = [i for i, f in enumerate(rough) if f.cost <= FAR * min(r.cost for r in rough)]
         full = each(lambda i: full_fit(rough[i], scores[i].effect, self.records, search=whole), near)
         refits = [*rough]
@@ -157,8 +166,6 @@ class Search:
             refits[i] = found
         shares = [1.0 - f.cost / stage.fit.cost for f in refits]
         base = self.validate(stage.fit)
-        pooled = pool([f.errors for f in stage.floors])
-        floor = pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else np.inf
         rejected: list[str | None] = []
         for score, found, share in zip(scores, refits, shares, strict=False):
             why = objection(found, score.effect.name)

@@ -77,7 +77,10 @@ def excesses(names: Sequence[str], judgements: Sequence[Judgement], floors: Sequ
             known = [d for d in draws if d is not None]
             if value is None or not known or (floor.source == "repeats" and not rule.by_scatter):
                 continue
-            found.append(Excess(name, rule.figure, value, _limit(rule, floor, np.array(known))))
+            limit = _limit(rule, floor, np.array(known))
+            if rule.figure == "wide_windows_pct":  # one window more proves nothing
+                limit = max(limit, max(known) + 100.5 / judgement.windows)
+            found.append(Excess(name, rule.figure, value, limit))
     return found
 
 

@@ -169,6 +169,10 @@ def _solve(
     cost = _sum_of_squares(residuals)
     damping = 1e-4
     converged = False
+    jacobians = [np.zeros((len(r), len(problem.slots))) for r in residuals]
+    nuisances = [np.empty((len(r), 0)) for r in residuals]
+    if not np.isfinite(cost):
+        max_iterations = 0
     for _ in range(max_iterations):
         jacobians, nuisances = problem.linearise(point, residuals)
         gradient = np.zeros(len(problem.slots))
@@ -177,7 +181,7 @@ def _solve(
         nuisance_gain = 0.0
         for residual, columns, nuisance in zip(residuals, jacobians, nuisances, strict=True):
             inner = nuisance.T @ nuisance
-            inner += 1e-12 * np.trace(inner) * np.eye(len(inner)) if len(inner) else 0.0
+            inner += (1e-12 * np.trace(inner) + 1e-200) * np.eye(len(inner)) if len(inner) else 0.0
             cross = nuisance.T @ columns
             pull = nuisance.T @ residual
             eliminate = np.linalg.solve(inner, np.column_stack((cross, pull))) if len(inner) else np.empty((0, 0))

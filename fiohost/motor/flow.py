@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import exp, expm1, log1p
 
 from fiohost.motor.compiled import inlined
+from fiohost.motor.effects.fast_decay import PERIOD_S, fall_time
 from fiohost.motor.hooks import breakaway, current, friction, torque
 from fiohost.motor.state import (
     BEARING,
@@ -18,6 +19,9 @@ from fiohost.motor.state import (
     CHANGE_RATIO,
     CHANGE_TIME,
     CHANGE_WHICH,
+    DRIVE,
+    FAST_LAG,
+    FAST_ON,
     GAIN,
     HEATING,
     HEATING_ON,
@@ -84,10 +88,18 @@ def settled_current(omega, time, duty, mode, gain, state, p, on):  # type: ignor
     """The current in percent of stall once its own lag is over: duty minus back-emf, as the electrics let it
     through.
     """
-    if mode == STANDBY:
-        return 0.0
+    if mode == STANDBY or (mode == DRIVE and duty == 0.0 and on[FAST_ON]):
+        return 0.0  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
     emf = omega / gain
     return current(duty - emf, duty, emf, time, state[WINDING], p, on)
+
+
+@inlined
+def ceases(omega, duty, gain, p):  # type: ignore[no-untyped-def]
+    """Whether the current of a bridge open between the pulses ceases within each of them (discontinuous conduction)."""
+    on = min(abs(duty) * 0.01, 1.0)
+    e = min(max(omega / gain * 0.01 * (1.0 if duty > 0.0 else -1.0), -0.99), 0.99)
+    return on + fall_time(on, e, p[FAST_LAG] / PERIOD_S) < 1.0
 
 
 @inlined

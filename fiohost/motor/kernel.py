@@ -24,6 +24,7 @@ from fiohost.motor.state import (
     CHANGE_TIME,
     DELAY,
     DELAY_ON,
+    FAST_ON,
     GAP,
     LAG,
     LAG_ON,
@@ -50,7 +51,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     switch = p[CHANGE_TIME] - clock if on[CHANGE_ON] else -1.0
     two = gap and p[SHARE] >= SMALLEST_SHARE
     play = 0.5 * p[GAP] if gap else 0.0
-    lagged = on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S
+    lagged = (on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S) or on[FAST_ON]
     now = times[first]
     j = np.searchsorted(act_times, now - delay, side="right")
     duty = command(duties[j], p, on)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import cos, exp, log, sin, sqrt
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.flow import SAME_TIME_S, deflect, hold_level, plant, relax, resistance, settled_current
+from fiohost.motor.flow import SAME_TIME_S, ceases, deflect, hold_level, plant, relax, resistance, settled_current
 from fiohost.motor.hooks import torque
 from fiohost.motor.rigid import MAX_EVENTS, advance
 from fiohost.motor.state import (
@@ -19,8 +19,12 @@ from fiohost.motor.state import (
     BRISTLE,
     BRISTLE_ON,
     CURRENT,
+    DRIVE,
+    FAST_LAG,
+    FAST_ON,
     HALF_SWING,
     LAG,
+    LAG_ON,
     LOAD_THETA,
     OMEGA,
     SMALLEST_BREAKAWAY,
@@ -74,13 +78,16 @@ def step(omega, amps, duty, load, gain, tau, lag, dt, c, s):  # type: ignore[no-
 def advance_lagged(state, duty, mode, time, span, substep, play, p, on):  # type: ignore[no-untyped-def]
     """Carry the shaft over a span of constant command; as ``rigid.advance``, with the current as a state.
 
-    With the bridge open the current dies at once. A shaft at rest is released when the rising current lets it go.
+    With the bridge open the current dies at once, and where it ceases within each pulse it follows its mean at once. A
+    shaft at rest is released when the rising current lets it go.
     """
-    if mode == STANDBY:
-        state[CURRENT] = 0.0
+    pulsed = on[FAST_ON] and mode == DRIVE
+    gain, _, _ = plant(time, p, on)
+    if mode == STANDBY or (pulsed and (duty == 0.0 or ceases(state[OMEGA], duty, gain, p))):
         advance(state, duty, mode, time, span, substep, play, p, on)
+        state[CURRENT] = settled_current(state[OMEGA], time + span, duty, mode, gain, state, p, on)
         return
-    lag = p[LAG]
+    lag = p[LAG] if on[LAG_ON] else p[FAST_LAG]
     bristle = on[BRISTLE_ON] and p[BREAKAWAY] >= SMALLEST_BREAKAWAY
     theta, omega, amps = state[THETA], state[OMEGA], state[CURRENT]
     left = span

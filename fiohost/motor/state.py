@@ -23,6 +23,7 @@ STANDBY = 0
 GAIN = layout()["linear"]
 TAU = GAIN + 1
 
+FAST_ON, FAST_LAG = EFFECT_INDEX["fast_decay"], layout()["fast_decay"]
 DELAY_ON, DELAY = EFFECT_INDEX["transport_delay"], layout()["transport_delay"]
 BACKLASH, GAP = EFFECT_INDEX["backlash"], layout()["backlash"]
 SIDE, SHARE = GAP + 1, GAP + 2
