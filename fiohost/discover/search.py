@@ -5,8 +5,8 @@ judge against the floor -> evidence -> screen -> refit -> cross-validate -> add 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,6 +45,8 @@ LOST = 10.0
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
 FINISHED = 1.1
+# A further effect must account for this share of what still stands above the floor: small remains have many takers.
+LEAST_OF_REST = 0.3
 
 Progress = Callable[[str], None]
 
@@ -79,12 +81,16 @@ class Stage:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect that was added, what spoke for it, and the names it cannot be told from."""
+    """One effect that was added, what spoke for it, and the names it cannot be told from.
+
+    ``rival_models`` are the fitted models of those that only this data cannot tell from it.
+    """
 
     effect: str
     stage: Stage
     evidence: dict[str, object]
     indistinguishable_from: tuple[str, ...]
+    rival_models: Mapping[str, Model] = field(default_factory=dict)
 
 
 def _judged(
@@ -174,6 +180,9 @@ class Search:
                 why = (
                     f"removes {100 * max(share, 0.0):.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
                 )
+            above = 1.0 - (left**2 - 1.0) / max((stage.fit.rms / floor) ** 2 - 1.0, 1e-12)
+            if not first and above < LEAST_OF_REST:
+                why = f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
             if score.effect.once and left > FINISHED:
                 why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
             rejected.append(why)
@@ -238,17 +247,16 @@ class Search:
         equal = [c for c, v in finalists if v.fit.cost <= AS_GOOD_FITTED * fitted]
         return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
 
-    def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> tuple[str, ...]:
-        """Names that this data cannot tell from the winner: exact equivalents always, and near ones by validation."""
+    def rivals(self, winner: Candidate, able: Sequence[Candidate], base_cost: float) -> dict[str, Model]:
+        """Those whose left-out error this data cannot tell from the winner's, as they were fitted."""
         assert winner.validated is not None
-        names = list(effect(winner.effect).equivalents)
-        for other in able:
-            if other.effect == winner.effect or other.validated is None:
-                continue
-            if indistinguishable(winner.validated, other.validated, base_cost):
-                names.append(other.effect)
-                names.extend(effect(other.effect).equivalents)
-        return tuple(dict.fromkeys(n for n in names if n != winner.effect))
+        return {
+            c.effect: c.validated.fit.model
+            for c in able
+            if c.effect != winner.effect
+            and c.validated is not None
+            and indistinguishable(winner.validated, c.validated, base_cost)
+        }
 
     def prune(self, fitted: Fit, declared: Model) -> Fit:
         """Delete every added effect that left-out records do not miss once the others are there."""
@@ -282,10 +290,12 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         follows = dependences(search.train, stage.fit.model, stage.judgements, search.rng)
         able = [c for c in offered if c.validated is not None]
         base_cost = float(evidence.pop("base_cost"))  # type: ignore[arg-type]
-        names = search.rivals(winner, able, base_cost)
+        rivals = search.rivals(winner, able, base_cost)
+        names = [n for name in (winner.effect, *rivals) for n in (name, *effect(name).equivalents)]
+        names = [n for n in dict.fromkeys(names) if n != winner.effect]
         search.say(f"adding {winner.effect}")
         stage = search.stage(search.prune(winner.validated.fit, model))
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
-        steps.append(Step(winner.effect, stage, evidence, names))
+        steps.append(Step(winner.effect, stage, evidence, tuple(names), rivals))
     return Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
