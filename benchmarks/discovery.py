@@ -68,7 +68,7 @@ def run_case(seed: int, names: tuple[str, ...], leave_out: str | None) -> dict[s
         "truth": list(names),
         "left_out": leave_out,
         "reduced": case.reduced,
-        "clarity": max(d / f for d, f in zip(declared, floor, strict=True)),
+        "clarity": max(d / f for d, f in zip(declared, floor, strict=True) if f > 0),
         "verdict": found.verdict,
         "named": [s.effect for s in found.steps],
         "rivals": [list(s.indistinguishable_from) for s in found.steps],
