@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edge_reference import EdgeReference
+from board_reference.compare import driven, shown, solved
 
 import fiohost
 from firmware_model import Board, FirmwareModelError, Instruments, load_plant
@@ -198,18 +198,12 @@ ALLOWED_DEG = {name: 1e-8 for name in REFERENCED} | {"loads, friction, sag, heat
 @pytest.mark.parametrize("name", sorted(REFERENCED))
 def test_edges_follow_the_independent_solution(name: str) -> None:
     """Drive, reverse through a stop, coast, brake, crawl and drive again: 0.2 s, 4000 periods."""
-    machine = plant(REFERENCED[name])
-    motor = Motor(machine, pwm=EDGES)
-    reference = EdgeReference(machine, motor._y[THETA])
     record = [(DRIVEN, 70.0)] * 8 + [(DRIVEN, -35.5)] * 8 + [(STANDBY, 0.0)] * 5 + [(BRAKE, 0.0)] * 5
     record += [(DRIVEN, 8.0)] * 6 + [(DRIVEN, 60.0)] * 8
-    worst = 0.0
-    for mode, duty_pct in record:
-        motor.run(mode, duty_pct, STEP_S)
-        reference.hold(mode, duty_pct, 100)
-        worst = max(worst, abs(math.degrees(motor._y[THETA] - reference.x[0])))
-    assert worst < ALLOWED_DEG[name]
-    assert motor._y[OMEGA] == pytest.approx(reference.x[1], abs=1e-4)
+    modes, duties = np.array([mode for mode, _ in record]), np.array([duty for _, duty in record])
+    run = driven(plant(REFERENCED[name]), modes, duties, edges=True)
+    expected, _ = solved(run)
+    assert float(np.max(np.abs(shown(run) - expected))) < ALLOWED_DEG[name]
 
 
 @pytest.mark.parametrize("decay", ["slow", "fast"])
