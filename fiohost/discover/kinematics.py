@@ -186,13 +186,13 @@ def _order_locked(cases: Sequence[Case]) -> Iterator[Finding]:
         slow, fast = min((r for _, r in group), key=lambda r: r.slow), max((r for _, r in group), key=lambda r: r.fast)
         apart = fast.fast >= SPEED_RATIO * slow.slow
         # A torque's ripple falls with the speed at least: what falls by less than half of that is none.
-        keeps = fast.level > slow.level * np.sqrt(slow.slow / fast.fast)
+        keeps = bool(fast.level > slow.level * np.sqrt(slow.slow / fast.fast))
         for case, ripple in group:
             what = f"{order} times a turn by {ripple.level:.2g} deg"
             if ripple.reading or (apart and keeps):
                 advice = (
-                    f"the reading wavers {what}, and hardly less at {fast.fast:.3g} than at {slow.slow:.3g} deg/s: an "
-                    "error of the encoder (eccentric disc, slot widths), no torque"
+                    f"the reading wavers {what}; from {slow.slow:.3g} to {fast.fast:.3g} deg/s it fades far less than a "
+                    "torque's ripple would: an error of the encoder (eccentric disc, slot widths)"
                 )
             elif not apart:
                 advice = (

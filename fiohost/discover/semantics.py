@@ -1,0 +1,367 @@
+"""What a command means on this bench, asked of the data as discrete questions before any effect is looked for.
+
+When does a command act, what does zero duty do, what does the bridge do between pulses? Under each answer the declared
+model is refitted to pieces of the logs and judged by one-second windows. An answer against the log's own statement is
+believed where it leaves the counts alone, or takes away most of the error, and nothing ordinary does so too: a delay
+that is no whole number of ticks is a dead time, not a wrong statement. Nothing is changed; the user is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fiohost.discover.metrics import quantise
+from fiohost.discover.said import Said
+from fiohost.discover.workers import each
+from fiohost.errors import FiohostError
+from fiohost.identify.fit import Fit, best_of, first_guess, fit
+from fiohost.identify.predict import Flat, free_states, read, window_residuals
+from fiohost.identify.record import ANGLE, BRAKE, SHORTEST, Record, cut_windows
+from fiohost.motor.model import Model
+from fiohost.motor.state import STANDBY
+
+OFFSETS = (-1, 0, 1, 2)
+PIECE_S, PIECES = 4.0, 10
+LAGS_S = (0.03, 0.1, 0.4)
+DECAY_LAGS_S = (0.0003, 0.001, 0.004)
+ROUGH, FIRST, NEXT = (2, 1e-2), (15, 1e-3), (8, 1e-4)
+BELIEVED = ("contradicted", "suspected")
+# Window errors over their floor: so close it is reached; so much worse a statement may be contradicted; so much better
+# is beyond chance where the floor is far.
+REACHED, WORSE, MUCH_BETTER = 1.1, 1.2, 3.0
+# Errors of neighbouring samples go together: an interval from their number alone is too short by about this factor.
+COLOUR = 2.0
+SIGMAS, LEAST_TICKS, NEAR_TICK = 3.0, 0.01, 0.1
+LEAST_SAMPLES = 20
+# With the bridge open between pulses the mean current is next to nothing below half duty.
+LOW_DUTY_PCT, HIGH_DUTY_PCT, PROPORTIONAL, SPEED_SPAN_S = (15.0, 40.0), 65.0, 0.6, 0.02
+
+Fits = Mapping[str, Fit]
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question with the window error of each answer, in the output's unit.
+
+    ``verdict`` is ``as_said``, ``contradicted`` (beyond doubt), ``suspected``, ``open`` or ``not_asked``; ``sentence``
+    says it for people. ``estimate`` is a delay in ticks with its 95 % interval, where one was fitted freely.
+    """
+
+    name: str
+    said: str
+    verdict: str
+    sentence: str
+    window_rms: Mapping[str, float] = field(default_factory=dict)
+    best: str | None = None
+    estimate: tuple[float, float, float] | None = None
+
+    @property
+    def warns(self) -> bool:
+        return self.verdict in BELIEVED
+
+    def to_json(self) -> dict[str, object]:
+        estimate = self.estimate
+        return {
+            "said": self.said,
+            "best": self.best,
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "window_rms": dict(self.window_rms),
+            "estimate": {"value": estimate[0], "ci95": list(estimate[1:])} if estimate else None,
+        }
+
+
+@dataclass(frozen=True)
+class Semantics:
+    """All questions, the floor of the window error, and how many seconds of the logs were used."""
+
+    questions: tuple[Question, ...]
+    floor: float | None
+    seconds_used: float
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "seconds_used": self.seconds_used,
+            "floor_window_rms": self.floor,
+            **{q.name: q.to_json() for q in self.questions},
+        }
+
+
+def _piece(record: Record, a: int, b: int) -> Record:
+    """Samples ``a`` to ``b`` of a record with all its commands, so that what acted before them is known."""
+    times = record.excitation.times_s[a:b]
+    return replace(
+        record,
+        excitation=replace(record.excitation, times_s=times),
+        y=record.y[a:b],
+        at_rest=False,
+        windows=cut_windows(times),
+    )
+
+
+def pieces(records: Sequence[Record], count: int = PIECES, length_s: float = PIECE_S) -> list[Record]:
+    """Pieces of the logs in which commands change most, from as many logs as there are."""
+    offered: list[tuple[float, int, Record]] = []
+    for record in records:
+        times, duty = record.excitation.times_s, record.excitation.duties_pct[1:]
+        edges = cut_windows(times, length_s)
+        change = np.abs(np.diff(duty, prepend=duty[0]))
+        scores = [(float(change[a:b].sum()), a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        best = sorted((s for s in scores if s[2] - s[1] >= SHORTEST), key=lambda s: s[0], reverse=True)
+        offered += [(score, rank, _piece(record, a, b)) for rank, (score, a, b) in enumerate(best)]
+    # The best of every log before the second of any.
+    offered.sort(key=lambda o: (o[1], -o[0]))
+    return [piece for _, _, piece in offered[:count]]
+
+
+def shifted(record: Record, ticks: float) -> Record:
+    """The record with its commands acting so many ticks later than it says."""
+    ex = record.excitation
+    return replace(record, excitation=replace(ex, act_times_s=ex.act_times_s + ticks * record.sample_time_s))
+
+
+def at_zero(record: Record, mode: int) -> Record:
+    """The record with every command of zero duty in one mode."""
+    ex = record.excitation
+    return replace(record, excitation=replace(ex, modes=np.where(ex.duties_pct == 0.0, mode, ex.modes)))
+
+
+def _floor(found: Fit, parts: Sequence[Record]) -> float | None:
+    """Window error of data that the fitted model itself would give through the same sensor."""
+    if any(p.quantum <= 0 for p in parts):
+        return None
+    flat, total, samples = Flat.of(found.model), 0.0, 0
+    for part, start in zip(parts, found.starts, strict=True):
+        states = free_states(part, flat, start)
+        left = window_residuals(part, flat, states, quantise(part, read(part, flat, states) + 0.37 * part.quantum))
+        total, samples = total + float(left @ left), samples + len(left)
+    return float(np.sqrt(total / samples))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is common to all questions: the pieces, the declared model fitted to them as the logs say, their floor."""
+
+    records: Sequence[Record]
+    parts: Sequence[Record]
+    guess: Model
+    base: Fit
+    floor: float | None
+
+    def refit(self, model: Model, change: Callable[[Record], Record] = lambda r: r) -> Fit:
+        return _fit(model, [change(p) for p in self.parts], NEXT)
+
+    def reached(self, rms: float) -> bool:
+        return self.floor is not None and rms <= REACHED * self.floor
+
+    def believed(self, said: Fit, answer: Fit, rivals: Sequence[Fit] = ()) -> str:
+        """The verdict on an answer against a statement, beside ordinary explanations fitted to the same pieces."""
+        if self.reached(said.rms) or answer.rms * WORSE > said.rms:
+            return "as_said" if self.reached(said.rms) else "open"
+        if not all(self._better(answer, r) for r in rivals):
+            return "open"
+        if self.reached(answer.rms):
+            return "contradicted"
+        return "suspected" if answer.rms * MUCH_BETTER <= said.rms else "open"
+
+    def _better(self, answer: Fit, rival: Fit) -> bool:
+        """Whether an answer beats a rival by more than the windows scatter."""
+        gains = np.concatenate(
+            [
+                np.add.reduceat(r**2 - a**2, p.windows[:-1])
+                for a, r, p in zip(answer.residuals, rival.residuals, self.parts, strict=True)
+            ]
+        )
+        return bool(gains.sum() > SIGMAS * gains.std() * np.sqrt(len(gains)))
+
+
+def _fit(model: Model, parts: Sequence[Record], effort: tuple[int, float]) -> Fit:
+    return fit(model, parts, windows=True, max_iterations=effort[0], tolerance=effort[1])
+
+
+def _delay_ticks(found: Fit, sample_time_s: float, before: int) -> tuple[float, float, float]:
+    """Freely fitted delay in ticks beside the log's statement, with its interval."""
+    key = "transport_delay.delay_s"
+    curvature = sum(j.T @ j for j in found.jacobians)
+    variance = np.linalg.pinv(curvature)[found.names.index(key), found.names.index(key)]
+    error = COLOUR * np.sqrt(found.cost / found.samples * variance) / sample_time_s
+    value = found.model.number(key) / sample_time_s - before
+    return float(value), float(value - 1.96 * error), float(value + 1.96 * error)
+
+
+def _ticks(record: Record) -> int:
+    """Ticks after which a command acts, as the record has it."""
+    return round(float(record.excitation.act_times_s[0] - record.excitation.times_s[0]) / record.sample_time_s)
+
+
+def _when(asked: _Asked, said: Sequence[Said]) -> Question:
+    """When does a command act?"""
+    name = "command_delay"
+    ticks = {
+        round(float(p.excitation.act_times_s[0] - p.excitation.times_s[0]) / p.sample_time_s) for p in asked.records
+    }
+    stated = all(s.delay_ticks is not None for s in said)
+    one = next(iter(ticks)) if len(ticks) == 1 else None
+    words = f"{one} ticks" if one is not None else "the stated number of ticks, different by log"
+    words = words if stated else f"nothing; {words} are taken"
+    model = asked.base.model
+    if "transport_delay" in model.effects:
+        return Question(name, words, "not_asked", "the declared model has a delay of its own, which is fitted freely")
+
+    def label(offset: int) -> str:
+        return str(one + offset) if one is not None else f"{offset:+d}"
+
+    fits = dict(zip(OFFSETS, each(lambda o: asked.refit(model, lambda r: shifted(r, o)), OFFSETS), strict=True))
+    errors = {o: f.rms for o, f in fits.items()}
+    best = min(OFFSETS, key=lambda o: errors[o])
+    table = {label(o): e for o, e in errors.items()}
+    verdict, estimate = "as_said", None
+    if best != 0 and not asked.reached(errors[0]):
+        before, sample_s = -OFFSETS[0], float(np.median([p.sample_time_s for p in asked.parts]))
+        start = {"delay_s": max(before + best, 0.05) * sample_s}
+        free = fits[best].model.with_effect("transport_delay", start)
+        estimate = _delay_ticks(asked.refit(free, lambda r: shifted(r, -before)), sample_s, before)
+        verdict = asked.believed(fits[0], fits[best])
+        if verdict in BELIEVED and "armature_inductance" not in model.effects:
+            verdict = asked.believed(fits[0], fits[best], [asked.refit(model.with_effect("armature_inductance"))])
+        margin = SIGMAS * (estimate[2] - estimate[0]) / 1.96 + LEAST_TICKS
+        allowed = margin if asked.reached(errors[best]) else NEAR_TICK
+        if abs(estimate[0] - best) > allowed:
+            verdict = "open"
+        if one is not None:
+            estimate = (estimate[0] + one, estimate[1] + one, estimate[2] + one)
+    if verdict in BELIEVED:
+        sure = "the data say" if verdict == "contradicted" else "the data rather say"
+        sentence = (
+            f"the logs say {words} until a command acts, {sure} {label(best)} (window error {errors[best]:.3g} against "
+            f"{errors[0]:.3g}): set command_delay_ticks, unless there is a dead time of exactly that"
+        )
+    elif verdict == "open":
+        sentence = "the data do not settle when a command acts: something else is missing, or a delay of no whole ticks"
+    else:
+        sentence = "commands act when the logs say"
+    return Question(name, words, verdict, sentence, table, label(best), estimate)
+
+
+def _zero(asked: _Asked, said: Sequence[Said]) -> Question:
+    """Does zero duty brake or coast?"""
+    name = "zero_duty"
+    parts = asked.parts
+    modes = np.concatenate([p.excitation.modes[p.excitation.duties_pct == 0.0] for p in asked.records])
+    logged = "coast" if np.all(modes == STANDBY) else "brake" if not np.any(modes == STANDBY) else "as the bits say"
+    words = logged if all(s.bits for s in said) else f"nothing; {logged} is taken"
+    running = sum(_running_at_zero(p) for p in parts)
+    if running < LEAST_SAMPLES:
+        return Question(name, words, "not_asked", "the shaft never runs at zero duty: these data cannot tell")
+    choices = {"brake": BRAKE, "coast": STANDBY}
+    other = [k for k in choices if k != logged]
+    found = each(lambda k: asked.refit(asked.base.model, lambda r: at_zero(r, choices[k])), other)
+    fits = {logged: asked.base, **dict(zip(other, found, strict=True))}
+    errors = {k: f.rms for k, f in fits.items()}
+    best = min(errors, key=lambda k: errors[k])
+    verdict = asked.believed(fits[logged], fits[best]) if best != logged else "as_said"
+    if verdict in BELIEVED:
+        sure = "the data say" if verdict == "contradicted" else "the data rather say"
+        advice = "see that C3 and C4 reach the bridge" if all(s.bits for s in said) else "log c3 and c4"
+        sentence = (
+            f"at zero duty the logs say {words}, {sure} {best} (window error {errors[best]:.3g} against "
+            f"{errors[logged]:.3g}): {advice}"
+        )
+    else:
+        sentence = (
+            "zero duty does what the logs say" if verdict == "as_said" else "zero duty: the data do not settle it"
+        )
+    return Question(name, words, verdict, sentence, errors, best)
+
+
+def _running_at_zero(part: Record) -> int:
+    """Samples of a piece at which the command is zero and the reading changes."""
+    ex = part.excitation
+    acting = np.searchsorted(ex.act_times_s, ex.times_s, side="right")
+    zero = ex.duties_pct[acting] == 0.0
+    return int(np.sum(zero[1:] & zero[:-1] & (np.diff(part.y) != 0)))
+
+
+def _fast(asked: _Asked) -> Fit:
+    """The declared model with fast decay, from the best of a few electrical lags; roughly, where it is no good."""
+    models = [asked.guess.with_effect("fast_decay", {"electrical_tau_s": tau}) for tau in DECAY_LAGS_S]
+    rough = min(each(lambda m: _fit(m, asked.parts, ROUGH), models), key=lambda f: f.cost)
+    return rough if rough.rms > asked.base.rms else _fit(rough.model, asked.parts, FIRST)
+
+
+def _pulls_at_low_duty(parts: Sequence[Record]) -> bool:
+    """Whether the shaft runs at low duty nearly in proportion: an open bridge gives no torque there."""
+    low, high = [], []
+    for part in parts:
+        if part.kind != ANGLE:
+            continue
+        ex, span = part.excitation, max(1, round(SPEED_SPAN_S / part.sample_time_s))
+        acting = ex.duties_pct[np.searchsorted(ex.act_times_s, ex.times_s[span:], side="right")]
+        speed = (part.y[span:] - part.y[:-span]) / (ex.times_s[span:] - ex.times_s[:-span])
+        size = np.abs(acting)
+        ratio = speed / np.where(size > 0, acting, np.inf)
+        low.append(ratio[(size >= LOW_DUTY_PCT[0]) & (size <= LOW_DUTY_PCT[1])])
+        high.append(ratio[size >= HIGH_DUTY_PCT])
+    below, above = np.concatenate([*low, []]), np.concatenate([*high, []])
+    enough = len(below) >= LEAST_SAMPLES and len(above) >= LEAST_SAMPLES
+    return enough and bool(np.median(below) > PROPORTIONAL * np.median(above) > 0)
+
+
+def _between(asked: _Asked) -> Question:
+    """Is the bridge shorted or open between pulses?"""
+    name, effect, base = "decay", "fast_decay", asked.base
+    if effect in base.model.effects:
+        declared, fits = "fast", {"fast": base, "slow": asked.refit(base.model.without([effect]))}
+        verdict = asked.believed(base, fits["slow"])
+    else:
+        declared, fits, verdict = "slow", {"slow": base}, "as_said" if asked.reached(base.rms) else "open"
+        if verdict == "open" and _pulls_at_low_duty(asked.parts):
+            sentence = "slow decay, as declared: the motor pulls at duties where an open bridge gives no torque"
+            return Question(name, "slow decay is declared", "as_said", sentence, {"slow": base.rms}, "slow")
+        if verdict == "open":
+            fits["fast"] = _fast(asked)
+            verdict = asked.believed(base, fits["fast"])
+        if verdict in BELIEVED:
+            ordinary = [e for e in ("input_deadband", "coulomb_friction") if e not in base.model.effects]
+            rivals = each(lambda e: asked.refit(base.model.with_effect(e)), ordinary)
+            verdict = asked.believed(base, fits["fast"], rivals)
+    errors = {k: f.rms for k, f in fits.items()}
+    best = min(errors, key=lambda k: errors[k])
+    if verdict in BELIEVED:
+        sure = "the data say" if verdict == "contradicted" else "the data rather say"
+        sentence = (
+            f"{declared} decay is declared, {sure} {best} (window error {errors[best]:.3g} against "
+            f"{errors[declared]:.3g}): {'declare' if best == 'fast' else 'take out'} {effect}, or change the bridge"
+        )
+    else:
+        sentence = (
+            f"{declared} decay, as declared"
+            if verdict == "as_said"
+            else "the decay mode does not explain what is missing"
+        )
+    return Question(name, f"{declared} decay is declared", verdict, sentence, errors, best)
+
+
+def ask(records: Sequence[Record], said: Sequence[Said], model: Model, *, from_file: bool = False) -> Semantics | None:
+    """Ask the training logs what a command means; None where there is nothing to ask.
+
+    ``from_file`` also starts the fit from the model's own values. Never raises for data that cannot be fitted: that is
+    for the fit itself to say.
+    """
+    parts = pieces(records)
+    if not parts:
+        return None
+    try:
+        guess = first_guess(model, records)
+    except FiohostError:
+        return None
+    lags = () if "linear.tau_s" in model.fixed else LAGS_S
+    starts = [guess.with_values({"linear.tau_s": tau}) for tau in lags]
+    starts += [model] if from_file or not starts else []
+    near = best_of(starts, lambda m: _fit(m, parts, FIRST))
+    asked = _Asked(records, parts, starts[len(starts) // 2], near, _floor(near, parts))
+    questions = (_when(asked, said), _zero(asked, said), _between(asked))
+    return Semantics(questions, asked.floor, sum(p.seconds for p in parts))
