@@ -21,7 +21,7 @@ from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 STARTS = 4
-ANEW_STARTS = 2
+ANEW_STARTS = 1
 ANEW_LAG_S = 0.1
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
 COARSE = np.geomspace(0.2, 5.0, 20)

@@ -40,7 +40,8 @@ LEAST_REFITTED, REFITTED = 4, 10
 HOPELESS = 4.0
 FAR = 12.0
 # Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
-LOST = 10.0
+LOST = 3.0
+REFITTED_ANEW = 16
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
@@ -108,6 +109,10 @@ def _judged(
     return Stage(fitted, tuple(models[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))
 
 
+def _better(one: Fit, other: Fit) -> Fit:
+    return min(one, other, key=lambda f: f.cost)
+
+
 class Search:
     """One diagnosis in progress over the training records."""
 
@@ -163,8 +168,9 @@ class Search:
         rough = each(lambda s: rough_fit(stage.fit, s, self.records), worth)
         if min(f.rms for f in rough) > LOST * floor:
             self.say("still far from the floor: beginning anew with each of them")
+            worth = scores[:REFITTED_ANEW]
             anew = each(lambda s: fit_anew(stage.fit, s, self.records), worth)
-            rough = [min(pair, key=lambda f: f.cost) for pair in zip(rough, anew, strict=True)]
+            rough = [*map(_better, rough, anew), *anew[len(rough) :]]
         near = [i for i, f in enumerate(rough) if f.cost <= FAR * min(r.cost for r in rough)]
         full = each(lambda i: full_fit(rough[i], scores[i].effect, self.records, search=whole), near)
         refits = [*rough]
