@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fiohost.bench.log import Log
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
+from fiohost.discover.said import said_by
 from fiohost.errors import DataError
 from fiohost.identify.record import Record, record_from_log
 from fiohost.motor.model import Model
@@ -79,4 +80,5 @@ def diagnose(
         seed=seed,
         say=say,
         files=files,
+        said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )

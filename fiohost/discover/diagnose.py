@@ -6,7 +6,7 @@ Training records decide everything. Held-out records are judged once, at the end
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,8 @@ from threadpoolctl import threadpool_limits
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
+from fiohost.discover.preliminary import Preliminary, examine
+from fiohost.discover.said import Said
 from fiohost.discover.search import Candidate, Found, Progress, Search, Stage, Step, select
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
@@ -42,6 +44,7 @@ class Diagnosis:
     after_holdout: tuple[Judgement, ...]
     step_holdout: tuple[tuple[Judgement, ...], ...]
     floor_holdout: tuple[Floor, ...]
+    preliminary: Preliminary
     seconds: float
     horizon_s: float | None = None
     files: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -78,11 +81,12 @@ def diagnose_records(
     seed: int = 0,
     say: Progress = lambda text: None,
     files: dict[str, dict[str, str]] | None = None,
+    said: Mapping[str, Said] | None = None,
 ) -> Diagnosis:
     """Diagnose a declared model on training records; held-out records report only.
 
-    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress. Raises DataError if
-    the records do not share one output or there are none.
+    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress; ``said`` is what
+    logs say beside their records, by name. Raises DataError if the records do not share one output or there are none.
     """
     if not train:
         raise DataError("there is no log to fit")
@@ -91,7 +95,7 @@ def diagnose_records(
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _diagnose(train, holdout, model, library, from_file, seed, say, files or {})
+        return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})
 
 
 def _diagnose(
@@ -103,8 +107,10 @@ def _diagnose(
     seed: int,
     say: Progress,
     files: dict[str, dict[str, str]],
+    said: Mapping[str, Said],
 ) -> Diagnosis:
     began = time.monotonic()
+    preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     found = select(Search(train, None, rng, library, say), model, from_file)
@@ -129,6 +135,7 @@ def _diagnose(
         after_holdout=after,
         step_holdout=tuple(tuple(judge(r, s.stage.fit.model) for r in holdout) for s in steps),
         floor_holdout=tuple(floors(holdout, final, after, stage.replica_models, rng)) if holdout else (),
+        preliminary=preliminary,
         seconds=time.monotonic() - began,
         horizon_s=horizon_s,
         files=files,

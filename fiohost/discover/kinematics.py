@@ -191,7 +191,7 @@ def _order_locked(cases: Sequence[Case]) -> Iterator[Finding]:
             what = f"{order} times a turn by {ripple.level:.2g} deg"
             if ripple.reading or (apart and keeps):
                 advice = (
-                    f"the reading wavers {what}; from {slow.slow:.3g} to {fast.fast:.3g} deg/s it fades far less than a "
+                    f"the reading wavers {what}; from {slow.slow:.3g} to {fast.fast:.3g} deg/s it fades less than a "
                     "torque's ripple would: an error of the encoder (eccentric disc, slot widths)"
                 )
             elif not apart:

@@ -70,6 +70,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "seconds": found.seconds,
         "fit_horizon_s": found.horizon_s,
         "output_unit": found.train[0].unit,
+        **found.preliminary.to_json(),
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
         "verdict": found.verdict,
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
