@@ -41,9 +41,10 @@ def check_roles(train: Sequence[Log], holdout: Sequence[Log]) -> None:
 
 
 def unique_names(logs: Sequence[Log]) -> list[str]:
-    """File names, with as much of the folder as tells them apart."""
+    """File names, with the folder where that tells them apart, else with a number."""
     names = [log.path.name for log in logs]
-    return [str(log.path) if names.count(name) > 1 else name for log, name in zip(logs, names, strict=True)]
+    names = [str(log.path) if names.count(name) > 1 else name for log, name in zip(logs, names, strict=True)]
+    return [f"{name} {names[:i].count(name) + 1}" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
 def diagnose(

@@ -174,16 +174,24 @@ def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: b
     best = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
     for parameter in effect.parameters:
         if parameter.ragged and search:
-            best = _searched(best, f"{effect.name}.{parameter.name}", records)
+            best = _searched(best, f"{effect.name}.{parameter.name}", records, (COARSE, FINE, FINEST))
     return best
 
 
-def _searched(found: Fit, key: str, records: Sequence[Record]) -> Fit:
+def searched_again(found: Fit, records: Sequence[Record]) -> Fit:
+    """A model with its ragged parameters searched once more: what was added since may have moved them."""
+    for key in found.names:
+        if found.model.parameter(key).ragged:
+            found = _searched(found, key, records, (FINE, FINEST))
+    return found
+
+
+def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[np.ndarray]) -> Fit:
     """The best of fits from points along one parameter, coarse then fine, the others fitted anew from the best
     points.
     """
     parameter = found.model.parameter(key)
-    for factors in (COARSE, FINE, FINEST):
+    for factors in scales:
         centre = found.model.number(key)
         points = [centre * f if parameter.neutral == 0.0 else centre + MOMENT_S * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]

@@ -19,6 +19,7 @@ from fiohost.discover.choose import (
     objection,
     polish,
     rough_fit,
+    searched_again,
     validate,
 )
 from fiohost.discover.evidence import dependences
@@ -136,6 +137,18 @@ class Search:
 
     def stage(self, fitted: Fit) -> Stage:
         return _judged(fitted, self.records, self.train, self.rng)
+
+    def settled(self, fitted: Fit) -> Stage:
+        """The stage of a fitted model; off the floor, what an addition may have moved is searched again."""
+        stage = self.stage(fitted)
+        if (
+            stage.at_floor
+            or self.horizon_s is not None
+            or not any(fitted.model.parameter(n).ragged for n in fitted.names)
+        ):
+            return stage
+        better = searched_again(fitted, self.records)
+        return self.stage(better) if better.cost < fitted.cost else stage
 
     def _chance(self, screen: Screen, scores: Sequence[Score]) -> float:
         def draw(rng: np.random.Generator) -> list[np.ndarray]:
@@ -300,7 +313,7 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         names = [n for name in (winner.effect, *rivals) for n in (name, *effect(name).equivalents)]
         names = [n for n in dict.fromkeys(names) if n != winner.effect]
         search.say(f"adding {winner.effect}")
-        stage = search.stage(search.prune(winner.validated.fit, model))
+        stage = search.settled(search.prune(winner.validated.fit, model))
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         steps.append(Step(winner.effect, stage, evidence, tuple(names), rivals))
