@@ -292,15 +292,15 @@ def _fast(asked: _Asked) -> Fit:
     return rough if rough.rms > asked.base.rms else _fit(rough.model, asked.parts, FIRST)
 
 
-def _pulls_at_low_duty(parts: Sequence[Record]) -> bool:
+def _pulls_at_low_duty(records: Sequence[Record]) -> bool:
     """Whether the shaft runs at low duty nearly in proportion: an open bridge gives no torque there."""
     low, high = [], []
-    for part in parts:
-        if part.kind != ANGLE:
-            continue
-        ex, span = part.excitation, max(1, round(SPEED_SPAN_S / part.sample_time_s))
+    for record in records:
+        ex, span = record.excitation, max(1, round(SPEED_SPAN_S / record.sample_time_s))
         acting = ex.duties_pct[np.searchsorted(ex.act_times_s, ex.times_s[span:], side="right")]
-        speed = (part.y[span:] - part.y[:-span]) / (ex.times_s[span:] - ex.times_s[:-span])
+        speed = record.y[span:]
+        if record.kind == ANGLE:
+            speed = (speed - record.y[:-span]) / (ex.times_s[span:] - ex.times_s[:-span])
         size = np.abs(acting)
         ratio = speed / np.where(size > 0, acting, np.inf)
         low.append(ratio[(size >= LOW_DUTY_PCT[0]) & (size <= LOW_DUTY_PCT[1])])
@@ -318,7 +318,7 @@ def _between(asked: _Asked) -> Question:
         verdict = asked.believed(base, fits["slow"])
     else:
         declared, fits, verdict = "slow", {"slow": base}, "as_said" if asked.reached(base.rms) else "open"
-        if verdict == "open" and _pulls_at_low_duty(asked.parts):
+        if verdict == "open" and _pulls_at_low_duty(asked.records):
             sentence = "slow decay, as declared: the motor pulls at duties where an open bridge gives no torque"
             return Question(name, "slow decay is declared", "as_said", sentence, {"slow": base.rms}, "slow")
         if verdict == "open":
