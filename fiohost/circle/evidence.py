@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fiohost.bench.log import Log
+from fiohost.circle.menu import menu
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
+from fiohost.discover.outlook import look_ahead
 from fiohost.discover.said import said_by
 from fiohost.errors import DataError
 from fiohost.identify.record import Record, record_from_log
@@ -72,7 +74,7 @@ def diagnose(
     files = {
         name: {"sha256": log.sha256, "path": str(log.path)} for log, name in zip([*train, *held], names, strict=True)
     }
-    return diagnose_records(
+    found = diagnose_records(
         records[: len(train)],
         records[len(train) :],
         declared,
@@ -83,3 +85,4 @@ def diagnose(
         files=files,
         said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )
+    return look_ahead(found, menu(), say=say)

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
+from fiohost.discover.outlook import Outlook
 from fiohost.discover.preliminary import Preliminary, examine
 from fiohost.discover.said import Said
 from fiohost.discover.search import Candidate, Found, Progress, Search, Stage, Step, select
@@ -48,6 +49,7 @@ class Diagnosis:
     seconds: float
     horizon_s: float | None = None
     files: dict[str, dict[str, str]] = field(default_factory=dict)
+    outlook: Outlook = Outlook()
 
     @property
     def final(self) -> Stage:

@@ -64,6 +64,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             )
     sources = {f.source for f in (*final.floors, *found.floor_holdout)}
     exceeded = [e for e in final.excesses if e.exceeded]
+    upcoming = found.outlook.next_experiment
     result = {
         "schema": "fiohost.diagnosis/1",
         "fiohost_version": __version__,
@@ -107,6 +108,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                 ],
             },
         },
-        "next_experiment": None,
+        "next_experiment": upcoming.to_json() if upcoming else None,
+        "separation": upcoming.separation_json() if upcoming else None,
     }
     return _clean(result)  # type: ignore[no-any-return]

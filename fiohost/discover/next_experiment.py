@@ -1,0 +1,275 @@
+"""The experiment to run next: the one that tells apart what these data cannot, or shows what they do not.
+
+Every experiment of a menu is simulated with the model that was chosen and with each rival, both as they were fitted.
+The rival is then fitted again to what the chosen model would give there, as far as the old data let it (one step on
+both together); what still differs, over the error that is left anyway, is the separation. Designs that tell rival
+models apart: Hunter and Reiner, Technometrics 7, 1965.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiohost.discover.choose import STEP_SHARES, folds
+from fiohost.discover.evidence import Dependence
+from fiohost.discover.excitation import lacks
+from fiohost.discover.metrics import judge, pool
+from fiohost.discover.search import Stage, Step
+from fiohost.discover.workers import each
+from fiohost.identify.fit import Fit, fit
+from fiohost.identify.predict import Flat, free_output
+from fiohost.identify.record import ANGLE, Record, make_record
+from fiohost.motor.effect import Value, effect
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+
+# Differences over the floor: below the first an experiment does not separate; beyond the second more is not better.
+SEPARATES, DECISIVE = 1.5, 10.0
+MOST_RIVALS = 6
+# A rival that fits so much worse once the other effects are there (squared errors) is none any more.
+NO_RIVAL = 1.5
+REFIT_STEPS = 8
+NOT_A_STEP = 1e12
+
+SHOWS = {
+    "angle": "turns_slow",
+    "time": "soak",
+    "duty": "ramp_full",
+    "speed": "ramp_full",
+    "speed_sign": "triangle_slow",
+}
+OTHERWISE = "multisine"
+
+
+@dataclass(frozen=True)
+class Offer:
+    """An experiment that could be run: commands (n) of it from its beginning, duty in percent and mode as in a log."""
+
+    name: str
+    title: str
+    times_s: np.ndarray
+    duty_pct: np.ndarray
+    modes: np.ndarray
+
+    @property
+    def seconds(self) -> float:
+        return float(self.times_s[-1] - self.times_s[0])
+
+
+@dataclass(frozen=True)
+class Separation:
+    """By how many times the floor each rival would differ in one experiment, after it was fitted again."""
+
+    experiment: str
+    seconds: float
+    over_floor: Mapping[str, float]
+
+    @property
+    def least(self) -> float:
+        return min(self.over_floor.values())
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """What to run next and why; ``experiment`` is None where no experiment of the menu separates the rivals."""
+
+    why: str
+    experiment: str | None
+    rivals: tuple[str, ...] = ()
+    separations: tuple[Separation, ...] = ()
+
+    def to_json(self) -> dict[str, object] | None:
+        return None if self.experiment is None else {"why": self.why, "experiment": self.experiment}
+
+    def separation_json(self) -> dict[str, object] | None:
+        if not self.separations:
+            return None
+        return {
+            "rivals": list(self.rivals),
+            "why": self.why,
+            "separates_from": SEPARATES,
+            "experiments": [
+                {"experiment": s.experiment, "seconds": s.seconds, "over_floor": dict(s.over_floor)}
+                for s in self.separations
+            ],
+        }
+
+
+def rivals_of(final: Model, steps: Sequence[Step]) -> dict[tuple[str, str], Model]:
+    """The final model with an effect of it exchanged for one that these data cannot tell from it.
+
+    By (effect, rival); exact equivalents are left out, as no experiment could ever part them.
+    """
+    found: dict[tuple[str, str], Model] = {}
+    for step in steps:
+        if step.effect not in final.effects:
+            continue
+        for name, model in step.rival_models.items():
+            exact = name in effect(step.effect).equivalents or step.effect in effect(name).equivalents
+            if exact or name in final.effects or len(found) == MOST_RIVALS:
+                continue
+            own = {k.partition(".")[2]: v for k, v in model.values.items() if k.partition(".")[0] == name}
+            found[step.effect, name] = final.without([step.effect]).with_effect(name, own)
+    return found
+
+
+def _record(offer: Offer, like: Record) -> Record:
+    """The offer as a record, sensed as ``like`` was; what would be measured is not known yet."""
+    delay = float(like.excitation.act_times_s[0] - like.excitation.times_s[0])
+    return make_record(
+        offer.name,
+        offer.times_s,
+        offer.duty_pct,
+        np.zeros(len(offer.times_s)),
+        mode=offer.modes,
+        kind=like.kind,
+        unit=like.unit,
+        quantum=like.quantum,
+        command_delay_s=delay,
+        rotary=like.rotary,
+        at_rest=True,
+        clock_s=like.excitation.clock_s + like.seconds,
+    )
+
+
+def _moved(model: Model, names: Sequence[str], step: np.ndarray) -> Model:
+    values: dict[str, Value] = {}
+    for name, change in zip(names, step, strict=True):
+        parameter = model.parameter(name)
+        values[name] = float(np.clip(model.number(name) + change, parameter.lower, parameter.upper))
+    return model.with_values(values)
+
+
+def _normal(fitted: Fit) -> np.ndarray:
+    return np.asarray(sum(c.T @ c for c in fitted.jacobians))
+
+
+def fitted_again(rival: Fit, old: np.ndarray, record: Record, start: Start) -> Model:
+    """The rival as a fit to the old data and to ``record`` would leave it: one step, shortened while it does not pay.
+
+    ``old`` (k, k) is the normal matrix of its fit to the old data, which hold it where it is.
+    """
+    here = fit(rival.model, [record], starts=[start], max_iterations=1, tolerance=NOT_A_STEP)
+    if not here.names:
+        return rival.model
+    columns, residual = here.jacobians[0], here.residuals[0]
+    hessian, gradient = old + columns.T @ columns, columns.T @ residual
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-10) @ (gradient / scale) / scale
+
+    def left(model: Model) -> float:
+        difference = record.y - free_output(record, Flat.of(model), start)
+        return float(np.std(difference))
+
+    moved = [rival.model, *(_moved(rival.model, here.names, share * step) for share in STEP_SHARES)]
+    return min(moved, key=left)
+
+
+def separations(
+    winner: Model, rivals: Mapping[str, Fit], offers: Sequence[Offer], like: Record, floor: tuple[float, float]
+) -> list[Separation]:
+    """How far every rival would be from the winner in every offered experiment, in free-run and window floors."""
+    flat = Flat.of(winner)
+    normal = {name: _normal(f) for name, f in rivals.items()}
+
+    def separate(offer: Offer) -> Separation:
+        start = Start(float(like.y[-1]) if like.kind == ANGLE else 0.0, 0.0)
+        record = _record(offer, like)
+        record = replace(record, y=free_output(record, flat, start))
+        over = {}
+        for name, rival in rivals.items():
+            errors = judge(record, fitted_again(rival, normal[name], record, start)).errors
+            over[name] = max(errors.free_run_rms / floor[0], errors.window_rms / floor[1])
+        return Separation(offer.name, offer.seconds, over)
+
+    return each(separate, offers)
+
+
+def _best(found: Sequence[Separation]) -> Separation:
+    """The experiment that separates most rivals, then most clearly, then soonest."""
+
+    def merit(s: Separation) -> tuple[int, float, float]:
+        apart = [min(v, DECISIVE) for v in s.over_floor.values() if v >= SEPARATES]
+        return len(apart), round(min(apart, default=0.0), 1), -s.seconds
+
+    return max(found, key=merit)
+
+
+def _words(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names).replace("_", " ")
+
+
+def _separating(found: Sequence[Separation], chosen: Mapping[str, str], titles: Mapping[str, str]) -> NextExperiment:
+    best = _best(found)
+    rivals = tuple(chosen)
+    apart = [n for n in rivals if best.over_floor[n] >= SEPARATES]
+    winners = _words(list(dict.fromkeys(chosen.values())))
+    if not apart:
+        nearest = max(found, key=lambda s: max(s.over_floor.values()))
+        why = (
+            f"no experiment of the menu separates {winners} from {_words(rivals)}: the best, {nearest.experiment}, "
+            f"differs by {max(nearest.over_floor.values()):.2g} times the floor once all is fitted again"
+        )
+        return NextExperiment(why, None, rivals, tuple(found))
+    least = min(best.over_floor[n] for n in apart)
+    why = (
+        f"{titles[best.experiment]} ({best.seconds:.0f} s): there {winners} and {_words(apart)} would differ by "
+        f"{'at least ' if len(apart) > 1 else ''}{least:.2g} times the floor, once all is fitted again"
+    )
+    rest = [n for n in rivals if n not in apart]
+    if rest:
+        why += f"; it does not separate {_words(rest)}"
+    return NextExperiment(why, best.experiment, rivals, tuple(found))
+
+
+def _showing(
+    verdict: str, train: Sequence[Record], residual: Sequence[Dependence], titles: Mapping[str, str]
+) -> NextExperiment | None:
+    """The experiment for what the data lack; where something is unexplained, else for what the residual follows."""
+    unexplained = verdict == "unexplained"
+    for lack in lacks(train):
+        if lack.experiment in titles and (lack.core or unexplained):
+            why = f"the logs have no {lack.what}, or too little: {titles[lack.experiment]}"
+            return NextExperiment(why, lack.experiment)
+    if not unexplained:
+        return None
+    follows = next((d.variable for d in residual if d.significant), None)
+    name = SHOWS.get(follows or "", OTHERWISE)
+    if name not in titles:
+        return None
+    cause = f"what remains follows the {follows.replace('_', ' ')}" if follows else "what remains follows nothing known"
+    return NextExperiment(f"{cause}: {titles[name]}", name)
+
+
+def propose(
+    verdict: str,
+    final: Stage,
+    steps: Sequence[Step],
+    train: Sequence[Record],
+    horizon_s: float | None,
+    residual: Sequence[Dependence],
+    offers: Sequence[Offer],
+    say: Callable[[str], None] = lambda text: None,
+) -> NextExperiment | None:
+    """The next experiment of the menu, or None where none is called for."""
+    if not offers:
+        return None
+    titles = {o.name: o.title for o in offers}
+    exchanged = rivals_of(final.fit.model, steps)
+    if exchanged:
+        say(f"looking for an experiment that separates {len(exchanged)} rivals")
+        records, _ = folds(train, horizon_s)
+        fits = each(lambda m: fit(m, records, max_iterations=REFIT_STEPS, tolerance=1e-3), list(exchanged.values()))
+        near = {
+            key: f for key, f in zip(exchanged, fits, strict=True) if f.cost <= NO_RIVAL * max(final.fit.cost, 1e-300)
+        }
+        errors, floors = pool([j.errors for j in final.judgements]), pool([f.errors for f in final.floors])
+        if near and errors and floors:
+            floor = (max(errors.free_run_rms, floors.free_run_rms), max(errors.window_rms, floors.window_rms))
+            rivals = {rival: f for (_, rival), f in near.items()}
+            found = separations(final.fit.model, rivals, offers, train[-1], floor)
+            return _separating(found, {rival: name for name, rival in near}, titles)
+    return _showing(verdict, train, residual, titles)
