@@ -94,11 +94,14 @@ def _smooth(e, dt, gain, tau, noise, walk, d, work):  # type: ignore[no-untyped-
 
 
 def missing_torque(record: Record, model: Model, residual: np.ndarray, walk_pct: float = 20.0) -> np.ndarray:
-    """Torque (n) in percent of duty that the model lacks, smoothed, from the free-run residual (n) of an angle record.
+    """Torque (n) in percent of duty that the model lacks, smoothed, from the free-run residual (n) of a record.
 
-    ``walk_pct`` is how far the torque may wander in a second: the band of the smoother.
+    ``walk_pct`` is how far the torque may wander in a second: the band of the smoother. Speeds are summed up to angles.
     """
     noise = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
+    if record.kind != ANGLE:
+        residual = np.cumsum(residual * np.gradient(record.excitation.times_s))
+        noise *= record.sample_time_s
     d = np.zeros((len(residual), 2))
     _smooth(
         np.ascontiguousarray(residual),
@@ -160,7 +163,7 @@ def _explained(torque: np.ndarray, bins: np.ndarray, weight: float) -> float:
 def dependences(
     records: Sequence[Record], model: Model, judgements: Sequence[Judgement], rng: np.random.Generator
 ) -> list[Dependence]:
-    """Which variables the missing torque follows over all angle records, strongest first.
+    """Which variables the missing torque follows over all records, strongest first.
 
     ``r2`` is the share of the torque's variance about zero explained by its mean in bins of the variable; the chance
     level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour.
@@ -168,10 +171,7 @@ def dependences(
     parts = [
         (missing_torque(r, model, j.free_residual), _variables(r, j.simulated))
         for r, j in zip(records, judgements, strict=True)
-        if r.kind == ANGLE
     ]
-    if not parts:
-        return []
     torque = np.concatenate([t for t, _ in parts])
     weight = float(torque @ torque)
     lengths = np.cumsum([0] + [len(t) for t, _ in parts])

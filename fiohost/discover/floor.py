@@ -13,7 +13,7 @@ from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
 from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit
 from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import ANGLE, Record
+from fiohost.identify.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -44,6 +44,8 @@ def replica(record: Record, model: Model, start: Start, rng: np.random.Generator
     truth = free_output(record, flat, start._replace(angle=start.angle + shift))
     if record.kind == ANGLE:
         return quantise(record, truth + 0.5 * record.quantum)
+    if record.kind == MEAN_SPEED:
+        truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
     return quantise(record, truth)
 
 

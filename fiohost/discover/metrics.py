@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.identify.predict import Flat, free_states, initial_state, read, window_residuals
-from fiohost.identify.record import ANGLE, Record
+from fiohost.identify.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -107,9 +107,17 @@ def pool(parts: Sequence[Errors]) -> Errors | None:
 
 
 def quantise(record: Record, y: np.ndarray) -> np.ndarray:
-    """The sensor's reading (n) of a true output: floor for counts of an angle, rounding for a speed."""
+    """The sensor's reading (n) of a true output: floor for counts of an angle, rounding for a speed.
+
+    A mean speed is a difference of two counts, so that what one reading lacks the next one has: its error has a
+    standard deviation of up to half a count, not of 0.29 counts, and does not grow when it is summed up.
+    """
     if record.quantum <= 0:
         return y
     if record.kind == ANGLE:
         return np.asarray(np.floor(y / record.quantum) * record.quantum)
+    if record.kind == MEAN_SPEED:
+        ticks = np.diff(record.excitation.times_s, prepend=-record.sample_time_s) / record.sample_time_s
+        counts = np.floor(np.cumsum(y * ticks) / record.quantum)
+        return np.asarray(np.diff(counts, prepend=0.0) * record.quantum / ticks)
     return np.asarray(np.round(y / record.quantum) * record.quantum)

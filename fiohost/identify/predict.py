@@ -101,10 +101,10 @@ def _fit(
 
 def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
     """Angle and speed of the first samples, straight from the data."""
+    if record.at_rest:
+        return (float(y[0]) if record.kind == ANGLE else 0.0), 0.0
     if record.kind != ANGLE:
         return 0.0, float(np.median(y[:3]))
-    if record.at_rest:
-        return float(y[0]), 0.0
     times = record.excitation.times_s[:6]
     slope = float(np.polyfit(times, y[: len(times)], 1)[0])
     return float(y[0]), slope

@@ -39,6 +39,14 @@ def read_output(times, states, kind, seen, p, on, y):  # type: ignore[no-untyped
 
 
 @inlined
+def window_output(times, states, first, count, kind, seen, p, on, measured, y):  # type: ignore[no-untyped-def]
+    """``output`` of a window within a run; a first mean speed that began in the window before is taken as measured."""
+    output(times, states, first, count, kind, seen, p, on, y)
+    if kind == MEAN_SPEED and first > 0:
+        y[0] = measured[first]
+
+
+@inlined
 def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
     """A copy of ``base`` turned by ``shift`` and running at ``omega``, load and gap with it."""
     for i in range(base.shape[0]):
@@ -89,14 +97,14 @@ def fit_windows(  # type: ignore[no-untyped-def]
         shift, omega = 0.0, base[OMEGA]
         _move(state, base, shift, omega)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-        output(times, states, a, n, kind, seen, p, on, y0)
+        window_output(times, states, a, n, kind, seen, p, on, y, y0)
         if kind == ANGLE:
             for i in range(n):
                 shift += (y[a + i] - y0[i]) / n
             if bends:
                 _move(state, base, shift, omega)
                 simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                output(times, states, a, n, kind, seen, p, on, y0)
+                window_output(times, states, a, n, kind, seen, p, on, y, y0)
             else:
                 for i in range(n):
                     y0[i] += shift
@@ -114,7 +122,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
                 if free_speed:
                     _move(state, base, shift if bends else 0.0, omega + speed_step)
                     simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                    output(times, states, a, n, kind, seen, p, on, y1)
+                    window_output(times, states, a, n, kind, seen, p, on, y, y1)
                 for i in range(n):
                     by_angle[i] = 1.0 if kind == ANGLE else 0.0
                     by_speed[i] = 0.0
@@ -124,7 +132,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
                     angle_step = speed_step * 0.01
                     _move(state, base, shift + angle_step, omega)
                     simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                    output(times, states, a, n, kind, seen, p, on, y1)
+                    window_output(times, states, a, n, kind, seen, p, on, y, y1)
                     for i in range(n):
                         by_angle[i] = (y1[i] - y0[i]) / angle_step
                 if kind == ANGLE:
@@ -149,7 +157,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
                 break
             _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
             simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-            output(times, states, a, n, kind, seen, p, on, y1)
+            window_output(times, states, a, n, kind, seen, p, on, y, y1)
             new = 0.0
             for i in range(n):
                 if kind == ANGLE and not bends:
