@@ -51,7 +51,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
     diagnosis = to_json(circle.diagnosis)
     seal = _open_seal(circle.fresh_log.path, target) if target in SEALED else None
     result = circle.to_json(diagnosis, seal)
-    print_circle(say.console, result)
+    print_circle(say.console, result, say.verbose)
     circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
     say.json(result)  # before the pictures, so that a full disk does not cost the result
     series = [confirm_series(circle), *series_of(circle.diagnosis)]

@@ -80,7 +80,7 @@ def diagnose(
     with progress() as doing:
         found = run_diagnosis(logs, holdout, declared, table_map=table_map, seed=drawn, say=doing, announce=announce)
     result = to_json(found)
-    print_diagnosis(say.console, result)
+    print_diagnosis(say.console, result, say.verbose)
     if save_model is not None:
         found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
         say(f"model written to {save_model}")

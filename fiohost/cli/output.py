@@ -6,6 +6,7 @@ With ``--json -`` standard output holds the JSON and nothing else; all text goes
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import sys
@@ -41,6 +42,11 @@ class Output:
     @property
     def stream(self) -> TextIO:
         return sys.stderr if self.json_to == "-" else sys.stdout
+
+    @property
+    def verbose(self) -> bool:
+        """Whether -v was given."""
+        return logging.getLogger("fiohost").isEnabledFor(logging.INFO)
 
     @property
     def is_terminal(self) -> bool:

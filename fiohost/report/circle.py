@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from fiohost.circle.close import Circle
 
 
-def print_circle(console: Console, result: Mapping[str, Any]) -> None:
+def print_circle(console: Console, result: Mapping[str, Any], verbose: bool = False) -> None:
     """Print a result of schema ``fiohost.circle/1``: diagnosis, confirmation, and last the truth where there is
     a seal.
     """
     diagnosis = result["diagnosis"]
-    print_diagnosis(console, diagnosis)
+    print_diagnosis(console, diagnosis, verbose)
     console.print()
     console.print(f"[bold]Fresh record[/bold]: {confirm_sentence(result['confirm'], str(diagnosis['output_unit']))}")
     if result["seal"]:

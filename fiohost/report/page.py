@@ -15,8 +15,8 @@ import jinja2
 
 from fiohost import __version__
 from fiohost.errors import LogError
-from fiohost.report import words
-from fiohost.report.plots import as_svg, plot_candidates, plot_curve, plot_residual_bars, plot_series
+from fiohost.report import preliminary, words
+from fiohost.report.plots import as_svg, plot_answers, plot_candidates, plot_curve, plot_residual_bars, plot_series
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 __all__ = ["CurvePlot", "SeriesPlot", "write_page"]
@@ -82,6 +82,8 @@ def render(
     chosen = [str(step.get("effect")) for step in steps]
     unit = str(diagnosis.get("output_unit", ""))
     final = diagnosis.get("final") or diagnosis.get("declared") or {}
+    asked = preliminary.questions(diagnosis)
+    floor = (diagnosis.get("semantics") or {}).get("floor_window_rms")
     return template.render(
         title=title,
         version=diagnosis.get("fiohost_version", __version__),
@@ -91,6 +93,14 @@ def render(
         declared=str((diagnosis.get("declared") or {}).get("model", "")),
         final=final,
         stages=list(_stages(diagnosis)),
+        warnings=preliminary.warnings(diagnosis),
+        findings=preliminary.findings(diagnosis),
+        skipped=diagnosis.get("kinematics_skipped") or [],
+        asked=asked,
+        answers=preliminary.answers,
+        limits=preliminary.limits(diagnosis),
+        exercised=preliminary.exercised(diagnosis),
+        looked="data" in diagnosis,
         roles=words.roles_of(diagnosis),
         role_words=words.ROLE_WORDS,
         logs=[{**log, "name": Path(str(log.get("file", "?"))).name} for log in logs],
@@ -112,6 +122,7 @@ def render(
         pictures_confirm=[as_svg(plot_series(s)) for s in series if s.role == "confirm"],
         pictures_holdout=[as_svg(plot_series(s)) for s in series if s.role == "holdout"],
         pictures_train=[as_svg(plot_series(s)) for s in series if s.role not in ("confirm", "holdout")],
+        picture_answers=as_svg(plot_answers(asked, floor, unit)) if any(q.get("window_rms") for _, q in asked) else "",
         picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",
         picture_candidates=as_svg(plot_candidates(candidates, chosen)) if candidates else "",
         pictures_curves=[as_svg(plot_curve(c)) for c in curves],

@@ -142,6 +142,28 @@ def plot_candidates(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[st
 
 
 @matplotlib.rc_context(STYLE)
+def plot_answers(questions: Sequence[tuple[str, Mapping[str, Any]]], floor: float | None, unit: str) -> Figure:
+    """Window error under each answer to what a command means, the best one marked, beside the floor."""
+    rows = [
+        (f"{name}: {answer}", _float(error), answer == question.get("best"))
+        for name, question in questions
+        for answer, error in (question.get("window_rms") or {}).items()
+    ]
+    figure, (axes,) = _figure(9.0, 1.3 + 0.32 * max(len(rows), 1), [1.0])
+    y = np.arange(len(rows))[::-1]
+    errors = np.array([error for _, error, _ in rows])
+    axes.scatter(errors, y, color=[AFTER if best else GREY for _, _, best in rows], marker="D", s=34, zorder=3)
+    if floor:
+        axes.axvline(floor, color=FLOOR, linewidth=1.6, linestyle=(0, (4, 2)), label="floor")
+        axes.legend(loc="best")
+    axes.set_yticks(y, [name for name, _, _ in rows])
+    _log_axis(axes, np.concatenate([errors, [floor or np.nan]]))
+    axes.set_xlabel(f"error in 1 s windows ({unit})")
+    axes.set_title("What a command means: the declared model under each answer")
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
 def plot_curve(curve: CurvePlot) -> Figure:
     """A curve with its band and points."""
     figure, (axes,) = _figure(7.5, 4.2, [1.0])

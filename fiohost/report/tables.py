@@ -14,6 +14,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from fiohost.report.preliminary import print_preliminary
 from fiohost.report.words import (
     ROLE_WORDS,
     effect_words,
@@ -32,10 +33,11 @@ FILE_WIDTH = 132  # columns where the text goes to a file or pipe, which has no 
 VERDICT_STYLE = {"no_missing_effect": "bold green", "explained": "bold green", "unexplained": "bold yellow"}
 
 
-def print_diagnosis(console: Console, diagnosis: Mapping[str, Any]) -> None:
+def print_diagnosis(console: Console, diagnosis: Mapping[str, Any], verbose: bool = False) -> None:
     """Print one diagnosis (schema ``fiohost.diagnosis/1``): verdict first, then the figures behind it."""
     console.print(Text(verdict_sentence(diagnosis), style=VERDICT_STYLE.get(str(diagnosis.get("verdict")), "bold")))
     console.print()
+    print_preliminary(console, diagnosis, verbose)
     tables = [error_table(diagnosis), parameter_table(diagnosis)]
     if diagnosis.get("logs"):
         tables.insert(1, log_table(diagnosis))
