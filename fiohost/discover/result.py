@@ -16,7 +16,8 @@ def _errors(errors: Errors | None) -> dict[str, Any] | None:
     return errors.to_json() if errors else None
 
 
-def _parameters(stage: Stage, only: str | None = None) -> dict[str, Any]:
+def _parameters(stage: Stage, rotary: bool, only: str | None = None) -> dict[str, Any]:
+    """Parameters with intervals; on a linear axis the model's degrees are metres."""
     known = parameters(stage)
     found: dict[str, Any] = {}
     for name, value in stage.fit.model.values.items():
@@ -27,7 +28,9 @@ def _parameters(stage: Stage, only: str | None = None) -> dict[str, Any]:
         if isinstance(value, str):
             found[key] = {"value": value, "unit": "", "ci95": None, "identifiable": True, "at_bound": False}
         else:
-            found[key] = known[name].to_json()
+            estimate = known[name]
+            unit = estimate.unit if rotary else estimate.unit.replace("deg", "m")
+            found[key] = {**estimate.to_json(), "unit": unit}
     return found
 
 
@@ -44,7 +47,7 @@ def _clean(value: Any) -> Any:
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``."""
-    declared, final = found.declared, found.final
+    declared, final, rotary = found.declared, found.final, found.train[0].rotary
     logs = []
     for role, records, before, after, floor in (
         ("train", found.train, declared.judgements, final.judgements, final.floors),
@@ -72,13 +75,13 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "fit_horizon_s": found.horizon_s,
         "output_unit": found.train[0].unit,
         **found.preliminary.to_json(),
-        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
+        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared, rotary)},
         "verdict": found.verdict,
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
             {
                 "effect": step.effect,
-                "parameters": _parameters(step.stage, step.effect),
+                "parameters": _parameters(step.stage, rotary, step.effect),
                 "evidence": step.evidence,
                 "after": {"train": _errors(pooled(step.stage.judgements)), "holdout": _errors(pooled(held))},
                 "indistinguishable_from": list(step.indistinguishable_from),
@@ -86,7 +89,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for step, held in zip(found.steps, found.step_holdout, strict=True)
         ],
         "after": {"train": _errors(pooled(final.judgements)), "holdout": _errors(pooled(found.after_holdout))},
-        "final": {"model": final.fit.model.expression, "parameters": _parameters(final)},
+        "final": {"model": final.fit.model.expression, "parameters": _parameters(final, rotary)},
         "floor": {
             "train": _errors(pool([f.errors for f in final.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 VARIABLE_LABELS = {
     "angle": "shaft angle in a turn (deg)",
-    "speed": "speed (deg/s)",
+    "speed": "speed ({length}/s)",
     "speed_sign": "direction of motion",
     "duty": "duty (%)",
     "time": "time (s)",
@@ -46,11 +46,12 @@ def curves_of(found: Diagnosis) -> list[CurvePlot]:
     """What the remaining missing torque follows, where it follows anything."""
     if found.final.at_floor:
         return []
+    length = "deg" if found.train[0].rotary else "m"
     return [
         CurvePlot(
             title=f"missing torque against {d.variable.replace('_', ' ')}: {100 * d.r2:.0f} % of it, "
             f"by chance {100 * d.chance_r2:.0f} %",
-            x_label=VARIABLE_LABELS[d.variable],
+            x_label=VARIABLE_LABELS[d.variable].format(length=length),
             y_label="missing torque (% of duty)",
             x=np.asarray(d.centres, dtype=np.float64),
             lines={"mean in the bin": np.asarray(d.means, dtype=np.float64)},
