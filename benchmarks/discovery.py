@@ -62,7 +62,7 @@ def run_case(seed: int, names: tuple[str, ...], leave_out: str | None) -> dict[s
     checked = confirm(record_from_log(newest), found.declared, found.final)
     declared = [j.errors.window_rms for j in found.declared.judgements]
     floor = [f.errors.window_rms for f in found.final.floors]
-    known = estimates(found.final.fit)
+    known = estimates(found.final.fit, found.final.replica_models)
     return {
         "seed": seed,
         "truth": list(names),

@@ -149,4 +149,4 @@ def pooled(judgements: Sequence[Judgement]) -> Errors | None:
 
 
 def parameters(stage: Stage) -> dict[str, Estimate]:
-    return estimates(stage.fit)
+    return estimates(stage.fit, stage.replica_models)
