@@ -21,9 +21,15 @@ from fiohost.cli.progress import progress
     metavar="DIR",
     help="Folder of logs, page and plots. [default: close-loop-N]",
 )
+@click.option("--no-follow-up", is_flag=True, help="Never run one more experiment to tell rivals apart.")
 @json_option
-def close_loop(target: str, seed: str | None, model: str, report: Path | None, json_to: str | None) -> None:
+def close_loop(
+    target: str, seed: str | None, model: str, report: Path | None, no_follow_up: bool, json_to: str | None
+) -> None:
     """Run a suite of experiments, name what the model lacks, and prove it on a fresh record.
+
+    Where the data cannot tell effects apart and an experiment of the menu would, that one is run too, and all is
+    diagnosed once more.
 
     On a sealed board the plant and its undeclared effects (none, one or two) are drawn at random and shown only at the
     very end.
@@ -38,7 +44,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
     from fiohost.circle.close import close_loop as run_circle
     from fiohost.discover.result import to_json
     from fiohost.motor.model import Model
-    from fiohost.report.circle import confirm_series, print_circle
+    from fiohost.report.circle import confirm_series, follow_up_sentence, print_circle
     from fiohost.report.diagnosis import curves_of, series_of
     from fiohost.report.page import write_page
     from fiohost.report.plots import save_plots
@@ -47,7 +53,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
     declared, drawn = Model.parse(model), parse_seed(seed)
     folder = _folder(report)
     with connect(target, seed=drawn) as bench, progress() as doing:
-        circle = run_circle(bench, folder, declared, say=doing)
+        circle = run_circle(bench, folder, declared, follow_up=not no_follow_up, say=doing)
     diagnosis = to_json(circle.diagnosis)
     seal = _open_seal(circle.fresh_log.path, target) if target in SEALED else None
     result = circle.to_json(diagnosis, seal)
@@ -60,6 +66,7 @@ def close_loop(target: str, seed: str | None, model: str, report: Path | None, j
     write_page(
         page, title="The closed circle", diagnosis=diagnosis, series=series, seal=seal,
         confirm=circle.confirmation.to_json(), curves=curves_of(circle.diagnosis),
+        follow_up=follow_up_sentence(result["follow_up"]) if circle.follow_up else "",
     )  # fmt: skip
     say(f"page: {page}")
 

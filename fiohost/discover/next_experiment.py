@@ -2,8 +2,8 @@
 
 Every experiment of a menu is simulated with the model that was chosen and with each rival, both as they were fitted.
 The rival is then fitted again to what the chosen model would give there, as far as the old data let it (one step on
-both together); what still differs, over the error that is left anyway, is the separation. Designs that tell rival
-models apart: Hunter and Reiner, Technometrics 7, 1965.
+both together, then a whole fit for those that promise most); what still differs, over the error that is left anyway,
+is the separation. Designs that tell rival models apart: Hunter and Reiner, Technometrics 7, 1965.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ SEPARATES, DECISIVE = 1.5, 10.0
 MOST_RIVALS = 6
 # A rival that fits so much worse once the other effects are there (squared errors) is none any more.
 NO_RIVAL = 1.5
-REFIT_STEPS = 8
+REFIT_STEPS, TOLERANCE = 8, 1e-3
+MOST_CONFIRMED = 4
 NOT_A_STEP = 1e12
 
 SHOWS = {
@@ -168,24 +169,63 @@ def fitted_again(rival: Fit, old: np.ndarray, record: Record, start: Start) -> M
     return min(moved, key=left)
 
 
-def separations(
-    winner: Model, rivals: Mapping[str, Fit], offers: Sequence[Offer], like: Record, floor: tuple[float, float]
-) -> list[Separation]:
-    """How far every rival would be from the winner in every offered experiment, in free-run and window floors."""
-    flat = Flat.of(winner)
-    normal = {name: _normal(f) for name, f in rivals.items()}
+@dataclass(frozen=True)
+class Duel:
+    """The chosen model against its rivals, each as fitted to ``records``; ``floor`` is that of free run and windows."""
 
-    def separate(offer: Offer) -> Separation:
+    winner: Model
+    rivals: Mapping[str, Fit]
+    records: Sequence[Record]
+    floor: tuple[float, float]
+
+    def record(self, offer: Offer) -> tuple[Record, Start]:
+        """What the winner would give in an experiment, begun where the last log ended."""
+        like = self.records[-1]
         start = Start(float(like.y[-1]) if like.kind == ANGLE else 0.0, 0.0)
         record = _record(offer, like)
-        record = replace(record, y=free_output(record, flat, start))
-        over = {}
-        for name, rival in rivals.items():
-            errors = judge(record, fitted_again(rival, normal[name], record, start)).errors
-            over[name] = max(errors.free_run_rms / floor[0], errors.window_rms / floor[1])
+        return replace(record, y=free_output(record, Flat.of(self.winner), start)), start
+
+    def _over_floor(self, record: Record, model: Model) -> float:
+        errors = judge(record, model).errors
+        return max(errors.free_run_rms / self.floor[0], errors.window_rms / self.floor[1])
+
+    def predicted(self, offer: Offer) -> Separation:
+        """How far every rival would be from the winner, fitted again by one step."""
+        record, start = self.record(offer)
+        over = {
+            name: self._over_floor(record, fitted_again(rival, _normal(rival), record, start))
+            for name, rival in self.rivals.items()
+        }
         return Separation(offer.name, offer.seconds, over)
 
-    return each(separate, offers)
+    def confirmed(self, offer: Offer) -> Separation:
+        """The same after a fit to old and new data that is carried through."""
+        record, start = self.record(offer)
+
+        def refit(rival: Fit) -> float:
+            starts = [*rival.starts, start]
+            found = fit(
+                rival.model, [*self.records, record], starts=starts, max_iterations=REFIT_STEPS, tolerance=TOLERANCE
+            )
+            return self._over_floor(record, found.model)
+
+        return Separation(
+            offer.name, offer.seconds, dict(zip(self.rivals, each(refit, list(self.rivals.values())), strict=True))
+        )
+
+
+def separations(duel: Duel, offers: Sequence[Offer]) -> list[Separation]:
+    """Every offered experiment; those that promise most are confirmed by whole fits until the best one is."""
+    found = {s.experiment: s for s in each(duel.predicted, offers)}
+    known = {o.name: o for o in offers}
+    confirmed: set[str] = set()
+    while len(confirmed) < MOST_CONFIRMED:
+        best = _best(list(found.values())).experiment
+        if best in confirmed:
+            break
+        found[best] = duel.confirmed(known[best])
+        confirmed.add(best)
+    return list(found.values())
 
 
 def _best(found: Sequence[Separation]) -> Separation:
@@ -262,7 +302,9 @@ def propose(
     if exchanged:
         say(f"looking for an experiment that separates {len(exchanged)} rivals")
         records, _ = folds(train, horizon_s)
-        fits = each(lambda m: fit(m, records, max_iterations=REFIT_STEPS, tolerance=1e-3), list(exchanged.values()))
+        fits = each(
+            lambda m: fit(m, records, max_iterations=REFIT_STEPS, tolerance=TOLERANCE), list(exchanged.values())
+        )
         near = {
             key: f for key, f in zip(exchanged, fits, strict=True) if f.cost <= NO_RIVAL * max(final.fit.cost, 1e-300)
         }
@@ -270,6 +312,6 @@ def propose(
         if near and errors and floors:
             floor = (max(errors.free_run_rms, floors.free_run_rms), max(errors.window_rms, floors.window_rms))
             rivals = {rival: f for (_, rival), f in near.items()}
-            found = separations(final.fit.model, rivals, offers, train[-1], floor)
+            found = separations(Duel(final.fit.model, rivals, records, floor), offers)
             return _separating(found, {rival: name for name, rival in near}, titles)
     return _showing(verdict, train, residual, titles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fiohost.report import words
@@ -23,6 +23,8 @@ def print_circle(console: Console, result: Mapping[str, Any], verbose: bool = Fa
     diagnosis = result["diagnosis"]
     print_diagnosis(console, diagnosis, verbose)
     console.print()
+    if result["follow_up"]:
+        console.print(f"[bold]Follow-up[/bold]: {follow_up_sentence(result['follow_up'])}")
     console.print(f"[bold]Fresh record[/bold]: {confirm_sentence(result['confirm'], str(diagnosis['output_unit']))}")
     if result["seal"]:
         console.print()
@@ -31,6 +33,21 @@ def print_circle(console: Console, result: Mapping[str, Any], verbose: bool = Fa
             console.print(f"  {name}: {text}", markup=False)
         named = [words.effect_words(step["effect"]) for step in diagnosis["steps"]]
         console.print(f"  named before it was opened: {words.listed(named) or 'nothing'}")
+
+
+def follow_up_sentence(follow_up: Mapping[str, Any]) -> str:
+    """What the experiment that was run to tell rivals apart made of the names."""
+
+    def spoken(named: Sequence[Sequence[str]]) -> str:
+        return words.listed(words.listed(map(words.effect_words, names), "or") for names in named) or "nothing"
+
+    before, after = follow_up["named_before"], follow_up["named_after"]
+    count, left = (sum(len(names) for names in named) for named in (before, after))
+    change = f"{count} names became {left}" if left < count else "the names did not become fewer"
+    return (
+        f"{follow_up['experiment']} was run to tell rivals apart: {change}. Before it: {spoken(before)}; "
+        f"after it: {spoken(after)}."
+    )
 
 
 def confirm_series(circle: Circle) -> SeriesPlot:

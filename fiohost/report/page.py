@@ -33,16 +33,20 @@ def write_page(
     seal: Mapping[str, Any] | None = None,
     confirm: Mapping[str, Any] | None = None,
     curves: Sequence[CurvePlot] = (),
+    follow_up: str = "",
 ) -> Path:
     """Write the page, whole or not at all, and return *path*.
 
     ``diagnosis`` follows ``fiohost.diagnosis/1``. ``confirm`` is the judgement on a fresh record: ``before``,
     ``after`` and ``floor`` like E of the diagnosis, optionally ``improvement_pct`` with its ``ci95`` and the figure
     that it is of, ``improvement_of`` (``free_run_rms`` or ``window_rms``); other keys are listed as they are.
+    ``follow_up`` says what an experiment that was run in addition made of the names.
     ``seal`` is what a sealed bench turned out to be: any nested mapping.
     Raises LogError where the file cannot be written.
     """
-    html = render(title=title, diagnosis=diagnosis, series=series, seal=seal, confirm=confirm, curves=curves)
+    html = render(
+        title=title, diagnosis=diagnosis, series=series, seal=seal, confirm=confirm, curves=curves, follow_up=follow_up
+    )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=".page.", dir=path.parent)
@@ -67,6 +71,7 @@ def render(
     seal: Mapping[str, Any] | None = None,
     confirm: Mapping[str, Any] | None = None,
     curves: Sequence[CurvePlot] = (),
+    follow_up: str = "",
 ) -> str:
     """The page as text."""
     environment = jinja2.Environment(
@@ -114,6 +119,7 @@ def render(
         white=(diagnosis.get("residual") or {}).get("white"),
         tests=flatten((diagnosis.get("residual") or {}).get("tests") or {}),
         upcoming=diagnosis.get("next_experiment"),
+        follow_up=follow_up,
         confirm=confirm,
         confirm_sentence=confirm_sentence(confirm, unit) if confirm else "",
         confirm_rest=flatten({k: v for k, v in confirm.items() if k not in CONFIRM_KEYS}) if confirm else [],
