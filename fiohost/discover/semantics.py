@@ -29,6 +29,7 @@ LAGS_S = (0.03, 0.1, 0.4)
 DECAY_LAGS_S = (0.0003, 0.001, 0.004)
 ROUGH, FIRST, NEXT = (2, 1e-2), (15, 1e-3), (8, 1e-4)
 BELIEVED = ("contradicted", "suspected")
+LAG = "armature_inductance"
 # Window errors over their floor: so close it is reached; so much worse a statement may be contradicted; so much better
 # is beyond chance where the floor is far.
 REACHED, WORSE, MUCH_BETTER = 1.1, 1.2, 3.0
@@ -182,27 +183,38 @@ def _fit(model: Model, parts: Sequence[Record], effort: tuple[int, float]) -> Fi
     return fit(model, parts, windows=True, max_iterations=effort[0], tolerance=effort[1])
 
 
-def _delay_ticks(found: Fit, sample_time_s: float, before: int) -> tuple[float, float, float]:
-    """Freely fitted delay in ticks beside the log's statement, with its interval."""
-    key = "transport_delay.delay_s"
-    curvature = sum(j.T @ j for j in found.jacobians)
-    variance = np.linalg.pinv(curvature)[found.names.index(key), found.names.index(key)]
-    error = COLOUR * np.sqrt(found.cost / found.samples * variance) / sample_time_s
-    value = found.model.number(key) / sample_time_s - before
-    return float(value), float(value - 1.96 * error), float(value + 1.96 * error)
-
-
 def _ticks(record: Record) -> int:
     """Ticks after which a command acts, as the record has it."""
     return round(float(record.excitation.act_times_s[0] - record.excitation.times_s[0]) / record.sample_time_s)
 
 
+def _free_delay(asked: _Asked, model: Model, near: int) -> tuple[float, float, float]:
+    """A freely fitted delay in ticks beside the logs' statement, with its 95 % interval."""
+    before, sample_s = -OFFSETS[0], float(np.median([p.sample_time_s for p in asked.parts]))
+    key = "transport_delay.delay_s"
+    late = model.with_effect("transport_delay", {"delay_s": max(before + near, 0.05) * sample_s})
+    found = asked.refit(late, lambda r: shifted(r, -before))
+    at, curvature = found.names.index(key), sum(j.T @ j for j in found.jacobians)
+    error = COLOUR * np.sqrt(found.cost / found.samples * np.linalg.pinv(curvature)[at, at]) / sample_s
+    value = found.model.number(key) / sample_s - before
+    return float(value), float(value - 1.96 * error), float(value + 1.96 * error)
+
+
+def _whole(asked: _Asked, fits: Mapping[int, Fit], best: int, delay: tuple[float, float, float]) -> str:
+    """The verdict on a number of ticks: it must be whole, and no electrical lag may do as well."""
+    margin = SIGMAS * (delay[2] - delay[0]) / 1.96 + LEAST_TICKS
+    if abs(delay[0] - best) > (margin if asked.reached(fits[best].rms) else NEAR_TICK):
+        return "open"
+    verdict = asked.believed(fits[0], fits[best])
+    if verdict in BELIEVED and LAG not in asked.base.model.effects:
+        verdict = asked.believed(fits[0], fits[best], [asked.refit(asked.base.model.with_effect(LAG))])
+    return verdict
+
+
 def _when(asked: _Asked, said: Sequence[Said]) -> Question:
     """When does a command act?"""
     name = "command_delay"
-    ticks = {
-        round(float(p.excitation.act_times_s[0] - p.excitation.times_s[0]) / p.sample_time_s) for p in asked.records
-    }
+    ticks = {_ticks(r) for r in asked.records}
     stated = all(s.delay_ticks is not None for s in said)
     one = next(iter(ticks)) if len(ticks) == 1 else None
     words = f"{one} ticks" if one is not None else "the stated number of ticks, different by log"
@@ -220,27 +232,20 @@ def _when(asked: _Asked, said: Sequence[Said]) -> Question:
     table = {label(o): e for o, e in errors.items()}
     verdict, estimate = "as_said", None
     if best != 0 and not asked.reached(errors[0]):
-        before, sample_s = -OFFSETS[0], float(np.median([p.sample_time_s for p in asked.parts]))
-        start = {"delay_s": max(before + best, 0.05) * sample_s}
-        free = fits[best].model.with_effect("transport_delay", start)
-        estimate = _delay_ticks(asked.refit(free, lambda r: shifted(r, -before)), sample_s, before)
-        verdict = asked.believed(fits[0], fits[best])
-        if verdict in BELIEVED and "armature_inductance" not in model.effects:
-            verdict = asked.believed(fits[0], fits[best], [asked.refit(model.with_effect("armature_inductance"))])
-        margin = SIGMAS * (estimate[2] - estimate[0]) / 1.96 + LEAST_TICKS
-        allowed = margin if asked.reached(errors[best]) else NEAR_TICK
-        if abs(estimate[0] - best) > allowed:
-            verdict = "open"
-        if one is not None:
-            estimate = (estimate[0] + one, estimate[1] + one, estimate[2] + one)
+        value = _free_delay(asked, fits[best].model, best)
+        verdict = _whole(asked, fits, best, value)
+        estimate = value if one is None else (value[0] + one, value[1] + one, value[2] + one)
     if verdict in BELIEVED:
         sure = "the data say" if verdict == "contradicted" else "the data rather say"
         sentence = (
             f"the logs say {words} until a command acts, {sure} {label(best)} (window error {errors[best]:.3g} against "
             f"{errors[0]:.3g}): set command_delay_ticks, unless there is a dead time of exactly that"
         )
-    elif verdict == "open":
-        sentence = "the data do not settle when a command acts: something else is missing, or a delay of no whole ticks"
+    elif estimate:
+        sentence = (
+            f"the data do not settle when a command acts: a free delay goes to {estimate[0]:.3g} ticks"
+            f"{'' if one is not None else ' more than said'}, so a dead time or something else is missing"
+        )
     else:
         sentence = "commands act when the logs say"
     return Question(name, words, verdict, sentence, table, label(best), estimate)
