@@ -155,8 +155,8 @@ def repeats(data: Counts) -> tuple[np.ndarray, int]:
     before = np.maximum.accumulate(np.where(steps != 0, index, -1))
     after = np.minimum.accumulate(np.where(steps != 0, index, len(steps))[::-1])[::-1]
     inside = (before >= 0) & (after < len(steps)) & (after - before <= MOST_REPEATS + 1)
-    goes_on = np.zeros(len(steps), dtype=bool)
-    goes_on[inside] = (np.sign(steps[before[inside]]) == np.sign(speed[inside])) & (
-        np.sign(steps[after[inside]]) == np.sign(speed[inside])
-    )
+    way = np.sign(speed)
+    last, coming = way * steps[np.maximum(before, 0)], way * steps[np.minimum(after, len(steps) - 1)]
+    # A step too far before it is a spike that a step of nothing takes back.
+    goes_on = inside & (last > 0) & (coming > 0) & (last <= np.abs(speed) + COUNTS_OF_DOUBT + reach(data))
     return (steps == 0) & goes_on & at_speed, int(np.sum(at_speed))

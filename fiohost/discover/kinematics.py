@@ -31,6 +31,8 @@ REGISTERS = (256.0, 65536.0)
 FULL_SCALE_PCT = 100.0
 # A movement of this many counts a sample has a direction beyond doubt.
 SURE_COUNTS = 2.0
+# A command that rests in more of its rows than this is made of levels.
+RESTS = 0.1
 
 
 def _wrap(case: Case) -> float | None:
@@ -147,12 +149,12 @@ def _clipped(case: Case) -> Iterator[Finding]:
     duty = case.record.excitation.duties_pct[1:]
     top = float(np.max(np.abs(duty)))
     held = np.abs(duty) >= top * (1.0 - 1e-9)
-    if top <= 0 or len(np.unique(duty)) < len(duty) / 4 or np.sum(held) < 2:
+    same = duty[1:] == duty[:-1]
+    if top <= 0 or np.mean(held) > 0.5 or np.mean(same[~held[1:]]) > RESTS:
         return  # levels, not a smooth command
     if case.said.closed_loop and top >= FULL_SCALE_PCT * (1.0 - 1e-6):
         return  # a controller at full scale is no fault
-    flat = held[1:] & held[:-1] & (duty[1:] == duty[:-1])
-    rows = np.flatnonzero(flat) + 1
+    rows = np.flatnonzero(held[1:] & same) + 1
     if rows.size < max(3, 0.001 * len(duty)):
         return
     advice = (
