@@ -193,3 +193,57 @@ def test_a_browser_shows_the_page(tmp_path: Path) -> None:
     dom = shown.stdout.decode()
     assert "Missing from linear+coulomb_friction" in dom
     assert dom.count("<svg") == 3
+
+
+def preliminary() -> dict[str, Any]:
+    """What a diagnosis may say before any dynamics, a fault of every kind in it."""
+    spike = {"name": "spike", "severity": "harm", "count": 2, "times_s": [1.5, 2.5], "advice": "drop <these> rows"}
+    late = {"said": "1 ticks", "best": "2", "verdict": "contradicted", "sentence": "the logs say 1, the data say 2",
+            "window_rms": {"1": 0.43, "2": 0.14}, "estimate": {"value": 2.0, "ci95": [1.99, 2.01]}}  # fmt: skip
+    quiet = {"said": "brake", "best": None, "verdict": "not_asked", "sentence": "cannot tell", "window_rms": {}}
+    return {
+        "kinematics": [
+            {"log": "a.csv", **spike},
+            {"log": "b.csv", **spike},
+            {"log": "a.csv", **spike, "name": "clipped_command", "severity": "note", "advice": "flat"},
+        ],
+        "kinematics_skipped": [{"log": "a.csv", "name": "not_closed", "why": "the log does not say"}],
+        "semantics": {"seconds_used": 40.0, "floor_window_rms": 0.14, "command_delay": late, "zero_duty": quiet},
+        "data": {
+            "seconds": 30.0, "reversals": 0, "both_directions": False, "closed_loop_only": False,
+            "cannot_show": [{"effects": ["backlash"], "why": "no reversals"}],
+            "cannot_tell_apart": [{"effects": ["missed_counts", "quadratic_drag"], "why": "no way out and back"}],
+        },
+    }  # fmt: skip
+
+
+def test_the_terminal_warns_of_faults_and_keeps_the_rest_for_verbose() -> None:
+    result = {**diagnosis(), **preliminary()}
+    text = " ".join(printed(result).split())
+    assert "Warning: The logs say 1, the data say 2." in text
+    assert "Warning: a.csv at 1.500 and 2.500 s; b.csv at 1.500 and 2.500 s: drop <these> rows." in text
+    assert "These logs cannot show backlash (why: -v or the page)." in text
+    assert "no reversals" not in text
+    assert "flat" not in text
+    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    print_diagnosis(console, result, verbose=True)
+    full = " ".join(console.export_text().split())
+    for part in ("flat", "no reversals", "missed counts from quadratic drag", "1: 0.430, 2: 0.140", "not_closed",
+                 "reversals 0"):  # fmt: skip
+        assert part in full, part
+
+
+def test_a_diagnosis_that_found_nothing_before_says_nothing_before() -> None:
+    empty = {"kinematics": [], "kinematics_skipped": [], "semantics": None,
+             "data": {"cannot_show": [], "cannot_tell_apart": []}}  # fmt: skip
+    assert printed({**diagnosis(), **empty}) == printed(diagnosis())
+
+
+def test_the_page_tells_what_was_seen_before_any_dynamics(tmp_path: Path) -> None:
+    with_it = write_page(tmp_path / "a.html", title="x", diagnosis={**diagnosis(), **preliminary()})
+    text = with_it.read_text()
+    for part in ("Before any dynamics", "drop &lt;these&gt; rows", "the data say 2", "cannot show backlash",
+                 "no reversals", "ticks until a command acts: 2"):  # fmt: skip
+        assert part in text, part
+    Checker().feed(text)
+    assert "Before any dynamics" not in write_page(tmp_path / "b.html", title="x", diagnosis=diagnosis()).read_text()

@@ -35,7 +35,7 @@ LAG = "armature_inductance"
 REACHED, WORSE, MUCH_BETTER = 1.1, 1.2, 3.0
 # Errors of neighbouring samples go together: an interval from their number alone is too short by about this factor.
 COLOUR = 2.0
-SIGMAS, LEAST_TICKS, NEAR_TICK = 3.0, 0.01, 0.1
+PERHAPS, SIGMAS, LEAST_TICKS, NEAR_TICK = 1.0, 3.0, 0.01, 0.1
 LEAST_SAMPLES = 20
 # With the bridge open between pulses the mean current is next to nothing below half duty.
 LOW_DUTY_PCT, HIGH_DUTY_PCT, PROPORTIONAL, SPEED_SPAN_S = (15.0, 40.0), 65.0, 0.6, 0.02
@@ -162,21 +162,24 @@ class _Asked:
         """The verdict on an answer against a statement, beside ordinary explanations fitted to the same pieces."""
         if self.reached(said.rms) or answer.rms * WORSE > said.rms:
             return "as_said" if self.reached(said.rms) else "open"
-        if not all(self._better(answer, r) for r in rivals):
+        margin = min((self._margin(answer, r) for r in rivals), default=np.inf)
+        if margin < PERHAPS:
             return "open"
         if self.reached(answer.rms):
-            return "contradicted"
+            return "contradicted" if margin > SIGMAS else "suspected"
         return "suspected" if answer.rms * MUCH_BETTER <= said.rms else "open"
 
-    def _better(self, answer: Fit, rival: Fit) -> bool:
-        """Whether an answer beats a rival by more than the windows scatter."""
+    def _margin(self, answer: Fit, rival: Fit) -> float:
+        """By how many standard errors of the windows an answer beats a rival; infinite where it is plain to see."""
+        if rival.rms > WORSE * answer.rms:
+            return float(np.inf)
         gains = np.concatenate(
             [
                 np.add.reduceat(r**2 - a**2, p.windows[:-1])
                 for a, r, p in zip(answer.residuals, rival.residuals, self.parts, strict=True)
             ]
         )
-        return bool(gains.sum() > SIGMAS * gains.std() * np.sqrt(len(gains)))
+        return float(gains.sum() / max(gains.std() * np.sqrt(len(gains)), 1e-300))
 
 
 def _fit(model: Model, parts: Sequence[Record], effort: tuple[int, float]) -> Fit:

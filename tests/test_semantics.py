@@ -1,0 +1,116 @@
+"""What a command means on a bench is asked of the data, and no missing effect is taken for a wrong statement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_data import QUANTUM_DEG, measure, multisine, steps, truth_model
+
+from fiohost.discover.said import Said
+from fiohost.discover.semantics import Question, ask, shifted
+from fiohost.identify.record import BRAKE, Record
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import free_run
+from fiohost.motor.state import STANDBY
+
+DECLARED = Model.parse("linear+coulomb_friction")
+STATED = Said(delay_ticks=1, bits=True)
+
+
+def pulses(seconds: float, rng: np.random.Generator) -> np.ndarray:
+    """Pulses of 0.6 s that end in zero duty, in percent."""
+    levels = rng.uniform(30.0, 90.0, int(seconds / 1.5) + 1) * rng.choice((-1.0, 1.0), int(seconds / 1.5) + 1)
+    return np.concatenate([np.repeat([u, 0.0], (120, 180)) for u in levels])[: round(seconds / 0.005)]
+
+
+def logs(truth: Model, *, delay_ticks: int = 1, seconds: float = 10.0, seed: int = 1) -> list[Record]:
+    """Records of a motor; all say that commands act after one tick and zero duty brakes."""
+    rng = np.random.default_rng(seed)
+    made = [measure(truth, s(seconds, rng), rng, delay_ticks=delay_ticks) for s in (multisine, steps, pulses)]
+    return [replace(shifted(r, 1 - delay_ticks), name=f"log{i}") for i, r in enumerate(made)]
+
+
+def asked(records: list[Record], model: Model = DECLARED, said: Said = STATED) -> Mapping[str, Question]:
+    found = ask(records, [said] * len(records), model)
+    assert found is not None
+    return {q.name: q for q in found.questions}
+
+
+def test_what_the_logs_say_is_confirmed_where_it_is_true() -> None:
+    found = asked(logs(truth_model()))
+    assert [q.verdict for q in found.values()] == ["as_said"] * 3
+    assert found["command_delay"].best == "1"
+    assert found["zero_duty"].window_rms["coast"] > 5.0 * found["zero_duty"].window_rms["brake"]
+
+
+@pytest.mark.parametrize("delay_ticks", [0, 2, 3])
+def test_a_wrong_delay_is_contradicted_with_the_right_one(delay_ticks: int) -> None:
+    found = asked(logs(truth_model(), delay_ticks=delay_ticks))["command_delay"]
+    # An electrical lag as long as a tick would do nearly as well for one tick more: longer logs make that sure.
+    assert found.verdict == "contradicted" or (delay_ticks, found.verdict) == (2, "suspected")
+    assert found.best == str(delay_ticks)
+    assert found.estimate is not None
+    assert found.estimate[0] == pytest.approx(delay_ticks, abs=0.03)
+    assert "set command_delay_ticks" in found.sentence
+    assert f" say {delay_ticks} " in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("transport_delay", {"delay_s": 0.003}),
+        ("transport_delay", {"delay_s": 0.0048}),
+        ("armature_inductance", {"time_constant_s": 0.002}),
+        ("armature_inductance", {"time_constant_s": 0.005}),
+        ("backlash", {"gap_deg": 3.0}),
+        ("input_deadband", {"level_pct": 8.0}),
+        ("gravity_load", {"level_pct": 3.0}),
+        ("supply_sag", {"ratio": 0.15}),
+        ("voltage_saturation", {"limit_pct": 50.0}),
+        ("bridge_voltage_drop", {"drop_pct": 4.0}),
+    ],
+)
+def test_a_missing_effect_is_no_wrong_statement(effect: str, values: Mapping[str, float]) -> None:
+    found = asked(logs(truth_model().with_effect(effect, values), seed=2))
+    assert [q.sentence for q in found.values() if q.warns] == []
+
+
+def test_zero_duty_that_coasts_is_told_from_one_that_brakes() -> None:
+    truth, rng = truth_model(), np.random.default_rng(3)
+    records = []
+    for record in logs(truth, seed=3):
+        ex = record.excitation
+        coasting = replace(ex, modes=np.where(ex.duties_pct == 0.0, STANDBY, ex.modes))
+        angle = free_run(truth, coasting, rng.uniform(0.0, QUANTUM_DEG))
+        records.append(replace(record, y=np.floor(angle / QUANTUM_DEG) * QUANTUM_DEG))
+    assert all(np.all(r.excitation.modes[r.excitation.duties_pct == 0.0][1:] != STANDBY) for r in records)
+    found = asked(records)["zero_duty"]
+    assert (found.verdict, found.best) == ("contradicted", "coast")
+    assert "C3 and C4" in found.sentence
+    silent = asked(records, said=Said())["zero_duty"]
+    assert silent.said.startswith("nothing")
+    assert "log c3 and c4" in silent.sentence
+    told = [
+        replace(r, excitation=replace(r.excitation, modes=np.where(r.excitation.duties_pct == 0.0, STANDBY, BRAKE)))
+        for r in records
+    ]
+    assert asked(told)["zero_duty"].verdict == "as_said"
+
+
+def test_an_open_bridge_between_pulses_is_told_from_a_shorted_one() -> None:
+    truth = truth_model().with_effect("fast_decay", {"electrical_tau_s": 0.001})
+    records = logs(truth, seconds=6.0, seed=4)
+    found = asked(records)["decay"]
+    assert found.warns
+    assert found.best == "fast"
+    assert found.window_rms["fast"] < 0.2 * found.window_rms["slow"]
+
+
+def test_logs_without_rests_say_nothing_about_zero_duty() -> None:
+    rng = np.random.default_rng(5)
+    found = asked([measure(truth_model(), multisine(10.0, rng), rng)])["zero_duty"]
+    assert found.verdict == "not_asked"
+    assert "cannot tell" in found.sentence
