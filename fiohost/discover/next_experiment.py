@@ -29,8 +29,6 @@ from fiohost.motor.simulate import Start
 # Differences over the floor: below the first an experiment does not separate; beyond the second more is not better.
 SEPARATES, DECISIVE = 1.5, 10.0
 MOST_RIVALS = 6
-# A rival that fits so much worse once the other effects are there (squared errors) is none any more.
-NO_RIVAL = 1.5
 REFIT_STEPS, TOLERANCE = 8, 1e-3
 MOST_CONFIRMED = 4
 NOT_A_STEP = 1e12
@@ -305,13 +303,12 @@ def propose(
         fits = each(
             lambda m: fit(m, records, max_iterations=REFIT_STEPS, tolerance=TOLERANCE), list(exchanged.values())
         )
-        near = {
-            key: f for key, f in zip(exchanged, fits, strict=True) if f.cost <= NO_RIVAL * max(final.fit.cost, 1e-300)
-        }
         errors, floors = pool([j.errors for j in final.judgements]), pool([f.errors for f in final.floors])
-        if near and errors and floors:
+        if errors and floors:
             floor = (max(errors.free_run_rms, floors.free_run_rms), max(errors.window_rms, floors.window_rms))
-            rivals = {rival: f for (_, rival), f in near.items()}
+            rivals = {rival: f for (_, rival), f in zip(exchanged, fits, strict=True)}
             found = separations(Duel(final.fit.model, rivals, records, floor), offers)
-            return _separating(found, {rival: name for name, rival in near}, titles)
+            apart = _separating(found, {rival: name for name, rival in exchanged}, titles)
+            if apart.experiment is not None or verdict != "unexplained":
+                return apart
     return _showing(verdict, train, residual, titles)
