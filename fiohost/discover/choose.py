@@ -22,6 +22,7 @@ from fiohost.motor.model import Model
 
 STARTS = 4
 ANEW_STARTS = 1
+ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
 ANEW_LAG_S = 0.1
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
 COARSE = np.geomspace(0.2, 5.0, 20)
@@ -159,11 +160,13 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
 def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     """As ``rough_fit``, but not from the base's values: those of a model that fits nothing lead nowhere."""
 
+    share = max(ANEW_S / len(records), ANEW_LEAST_S)
+    parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
+
     def attempt(trial: Trial) -> Fit:
         guess = first_guess(base.model.with_effect(score.effect.name, trial), records)
-        near = fit(
-            guess.with_values({"linear.tau_s": ANEW_LAG_S}), records, windows=True, max_iterations=12, tolerance=1e-2
-        )
+        guess = guess.with_values({"linear.tau_s": ANEW_LAG_S})
+        near = fit(guess, parts, windows=True, max_iterations=12, tolerance=1e-2)
         return fit(near.model, records, max_iterations=8, tolerance=1e-3)
 
     return min((attempt(t) for t in score.trials[:ANEW_STARTS]), key=lambda f: f.cost)

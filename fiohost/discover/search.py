@@ -179,7 +179,7 @@ class Search:
         pooled = pool([f.errors for f in stage.floors])
         floor = pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else np.inf
         rough = each(lambda s: rough_fit(stage.fit, s, self.records), worth)
-        if min(f.rms for f in rough) > LOST * floor:
+        if whole and min(f.rms for f in rough) > LOST * floor:
             self.say("still far from the floor: beginning anew with each of them")
             worth = scores[:REFITTED_ANEW]
             anew = each(lambda s: fit_anew(stage.fit, s, self.records), worth)
@@ -288,6 +288,12 @@ class Search:
         return fitted
 
 
+def _above(stage: Stage) -> float:
+    """How much power of the one-second windows, all records together, stands above their floor."""
+    error, floor = pool([j.errors for j in stage.judgements]), pool([f.errors for f in stage.floors])
+    return max(error.window_rms**2 - floor.window_rms**2, 1e-12) if error and floor else 1e-12
+
+
 @dataclass(frozen=True)
 class Found:
     """The outcome of one search: the declared stage first, the final one last."""
@@ -313,7 +319,15 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         names = [n for name in (winner.effect, *rivals) for n in (name, *effect(name).equivalents)]
         names = [n for n in dict.fromkeys(names) if n != winner.effect]
         search.say(f"adding {winner.effect}")
-        stage = search.settled(search.prune(winner.validated.fit, model))
+        grown = search.settled(search.prune(winner.validated.fit, model))
+        if steps and not grown.at_floor and _above(grown) > (1.0 - LEAST_OF_REST) * _above(stage):
+            search.say(f"{winner.effect} leaves the one-second windows as they were: not added")
+            rest = (
+                f"removes {100 * (1.0 - _above(grown) / _above(stage)):.0f} % of what stands above the floor in windows"
+            )
+            offered = [replace(c, rejected_because=rest) if c is winner else c for c in offered]
+            break
+        stage = grown
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         steps.append(Step(winner.effect, stage, evidence, tuple(names), rivals))
