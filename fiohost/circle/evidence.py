@@ -57,13 +57,15 @@ def diagnose(
     table_map: str | Path | None = None,
     library: Sequence[str] | None = None,
     seed: int = 0,
+    limits: bool = False,
     say: Callable[[str], None] = lambda text: None,
     announce: Callable[[Sequence[Log], Sequence[Log]], None] = lambda train, held: None,
 ) -> Diagnosis:
     """Name what a declared model lacks, from training logs; held-out logs only report.
 
     ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the
-    logs and their roles before anything is fitted, ``say`` hears of progress. Raises FiohostError.
+    logs and their roles before anything is fitted, ``say`` hears of progress. ``limits`` also asks how small effects
+    would have been seen where some were found. Raises FiohostError.
     """
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
@@ -85,4 +87,4 @@ def diagnose(
         files=files,
         said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )
-    return look_ahead(found, menu(), say=say)
+    return look_ahead(found, menu(), limits=limits, library=library, say=say)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 )
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
+@click.option("--limits", is_flag=True, help="Say how small an effect would have been seen, whatever is found.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
@@ -47,6 +48,7 @@ def diagnose(
     save_model: Path | None,
     report: Path | None,
     table_map: str | None,
+    limits: bool,
     seed: str,
 ) -> None:
     """Name what a declared model lacks, from logs, and report the error before and after on held-out ones.
@@ -78,7 +80,9 @@ def diagnose(
                     say(f"          dropped: {note}")
 
     with progress() as doing:
-        found = run_diagnosis(logs, holdout, declared, table_map=table_map, seed=drawn, say=doing, announce=announce)
+        found = run_diagnosis(
+            logs, holdout, declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
+        )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)
     if save_model is not None:

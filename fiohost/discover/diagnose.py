@@ -49,7 +49,7 @@ class Diagnosis:
     seconds: float
     horizon_s: float | None = None
     files: dict[str, dict[str, str]] = field(default_factory=dict)
-    outlook: Outlook = Outlook()
+    outlook: Outlook = field(default_factory=Outlook)
 
     @property
     def final(self) -> Stage:

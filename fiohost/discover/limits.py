@@ -23,13 +23,15 @@ from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
 
 NOT_A_STEP = 1e12
-PHASES_DEG = (0.0, 45.0, 90.0, 135.0)
+PHASES_DEG = (0.0, 60.0, 120.0)
 # Orders that gears, windings and counting discs of small gear motors have.
-ORDERS = (1.0, 2.0, 4.0, 12.0, 48.0)
-ROUNDS, CLOSE, FARTHEST = 10, 0.05, 10.0
+ORDERS = (1.0, 4.0, 12.0, 48.0)
+# Steps in size: so many, until so close, at most by such a factor, and by this one where nothing shows yet.
+ROUNDS, CLOSE, FARTHEST, GROWTH = 16, 0.1, 10.0, 1.7
 FACTORS = (1e-4, 1e4)
-HALVINGS = 20
+HALVINGS = 14
 IMITATED = 1e-3
+MOST_SHAPES = 3
 
 
 @dataclass(frozen=True)
@@ -193,16 +195,18 @@ class Limits:
 
     def _typical(self, effect: Effect, sizes: Sequence[Parameter], trials: Sequence[Trial]) -> Limit:
         """The worst over phases, and the middle one over everything else that is not known."""
-        by_shape: dict[tuple[Value, ...], list[Limit]] = {}
+        by_shape: dict[tuple[Value, ...], list[Trial]] = {}
         apart = [*(p.name for p in effect.parameters if p.period is not None), *(p.name for p in sizes)]
         for trial in trials:
             shape = tuple(v for k, v in trial.items() if k not in apart)
-            by_shape.setdefault(shape, []).append(self.sized(effect, sizes, trial))
+            by_shape.setdefault(shape, []).append(trial)
+        picked = np.unique(np.linspace(0, len(by_shape) - 1, MOST_SHAPES).round().astype(int))
 
         def distance(limit: Limit) -> float:
             return np.inf if limit.value is None else abs(limit.value - float(sizes[0].neutral or 0.0))
 
-        worst = sorted((max(found, key=distance) for found in by_shape.values()), key=distance)
+        of_shape = [[self.sized(effect, sizes, t) for t in list(by_shape.values())[i]] for i in picked]
+        worst = sorted((max(found, key=distance) for found in of_shape), key=distance)
         return worst[(len(worst) - 1) // 2]
 
     def sized(self, effect: Effect, sizes: Sequence[Parameter], trial: Trial) -> Limit:
@@ -239,7 +243,7 @@ class Limits:
                 return limit(min(reach * min(factor, 1.0 + CLOSE), most), log, figure)
             if reach >= most and factor > 1.0:
                 break
-            wanted = reach * min(max(factor, 1.0 / FARTHEST), FARTHEST)
+            wanted = reach * (min(max(factor, 1.0 / FARTHEST), FARTHEST) if np.isfinite(factor) else GROWTH)
             if not unseen < wanted < seen:
                 wanted = float(np.sqrt(max(unseen, 1e-3 * seen) * seen))
             reach = min(wanted, most)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
+from fiohost.discover.limits import Limit, detection_limits
 from fiohost.discover.next_experiment import NextExperiment, Offer, propose
 from fiohost.discover.search import Progress
 
@@ -18,16 +19,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outlook:
-    """``next_experiment`` of a menu, None where none is called for."""
+    """``next_experiment`` of a menu, None where none is called for; ``limits`` of what these data would have shown."""
 
     next_experiment: NextExperiment | None = None
+    limits: tuple[Limit, ...] = ()
 
 
-def look_ahead(found: Diagnosis, offers: Sequence[Offer], *, say: Progress = lambda text: None) -> Diagnosis:
-    """The diagnosis with its outlook; ``offers`` are the experiments that could be run."""
+def look_ahead(
+    found: Diagnosis,
+    offers: Sequence[Offer],
+    *,
+    limits: bool = False,
+    library: Sequence[str] | None = None,
+    say: Progress = lambda text: None,
+) -> Diagnosis:
+    """The diagnosis with its outlook; ``offers`` are the experiments that could be run.
+
+    Detection limits of the ``library`` are found where nothing is missing, and by ``limits`` whatever was found.
+    """
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"):
         upcoming = propose(
             found.verdict, found.final, found.steps, found.train, found.horizon_s, found.residual, offers, say
         )
-    return replace(found, outlook=Outlook(upcoming), seconds=found.seconds + time.monotonic() - began)
+        sizes: list[Limit] = []
+        if limits or found.verdict == "no_missing_effect":
+            say("finding how small an effect would have been seen")
+            sizes = detection_limits(found.final, found.train, library)
+    return replace(found, outlook=Outlook(upcoming, tuple(sizes)), seconds=found.seconds + time.monotonic() - began)

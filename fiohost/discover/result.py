@@ -112,6 +112,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             },
         },
         "next_experiment": upcoming.to_json() if upcoming else None,
+        "detection_limits": [limit.to_json() for limit in found.outlook.limits],
         "separation": upcoming.separation_json() if upcoming else None,
     }
     return _clean(result)  # type: ignore[no-any-return]
