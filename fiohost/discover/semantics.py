@@ -23,7 +23,7 @@ from fiohost.identify.record import ANGLE, BRAKE, SHORTEST, Record, cut_windows
 from fiohost.motor.model import Model
 from fiohost.motor.state import STANDBY
 
-OFFSETS = (-1, 0, 1, 2)
+OFFSETS = (-2, -1, 0, 1, 2)
 PIECE_S, PIECES = 4.0, 10
 LAGS_S = (0.03, 0.1, 0.4)
 DECAY_LAGS_S = (0.0003, 0.001, 0.004)
@@ -33,9 +33,8 @@ LAG = "armature_inductance"
 # Window errors over their floor: so close it is reached; so much worse a statement may be contradicted; so much better
 # is beyond chance where the floor is far.
 REACHED, WORSE, MUCH_BETTER = 1.1, 1.2, 3.0
-# Errors of neighbouring samples go together: an interval from their number alone is too short by about this factor.
-COLOUR = 2.0
-PERHAPS, SIGMAS, LEAST_TICKS, NEAR_TICK = 1.0, 3.0, 0.01, 0.1
+# A delay is whole within this many standard errors and this part of a tick, or roughly where the floor is far.
+PERHAPS, SIGMAS, LEAST_TICKS, NEAR_TICK = 1.0, 3.0, 0.005, 0.1
 LEAST_SAMPLES = 20
 # With the bridge open between pulses the mean current is next to nothing below half duty.
 LOW_DUTY_PCT, HIGH_DUTY_PCT, PROPORTIONAL, SPEED_SPAN_S = (15.0, 40.0), 65.0, 0.6, 0.02
@@ -198,7 +197,7 @@ def _free_delay(asked: _Asked, model: Model, near: int) -> tuple[float, float, f
     late = model.with_effect("transport_delay", {"delay_s": max(before + near, 0.05) * sample_s})
     found = asked.refit(late, lambda r: shifted(r, -before))
     at, curvature = found.names.index(key), sum(j.T @ j for j in found.jacobians)
-    error = COLOUR * np.sqrt(found.cost / found.samples * np.linalg.pinv(curvature)[at, at]) / sample_s
+    error = np.sqrt(found.cost / found.samples * np.linalg.pinv(curvature)[at, at]) / sample_s
     value = found.model.number(key) / sample_s - before
     return float(value), float(value - 1.96 * error), float(value + 1.96 * error)
 
