@@ -239,8 +239,10 @@ class Limits:
             if np.isfinite(factor):
                 log, figure = where, what
             unseen, seen = (max(unseen, reach), seen) if factor > 1.0 else (unseen, reach)
-            if abs(np.log(factor)) < CLOSE or seen < unseen * (1.0 + CLOSE):
-                return limit(min(reach * min(factor, 1.0 + CLOSE), most), log, figure)
+            if abs(np.log(factor)) < CLOSE and reach * factor <= most:
+                return limit(reach * factor, log, figure)
+            if seen < unseen * (1.0 + CLOSE):
+                break
             if reach >= most and factor > 1.0:
                 break
             wanted = reach * (min(max(factor, 1.0 / FARTHEST), FARTHEST) if np.isfinite(factor) else GROWTH)
