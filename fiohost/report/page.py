@@ -128,7 +128,9 @@ def render(
         pictures_confirm=[as_svg(plot_series(s)) for s in series if s.role == "confirm"],
         pictures_holdout=[as_svg(plot_series(s)) for s in series if s.role == "holdout"],
         pictures_train=[as_svg(plot_series(s)) for s in series if s.role not in ("confirm", "holdout")],
-        picture_answers=as_svg(plot_answers(asked, floor, unit)) if any(q.get("window_rms") for _, q in asked) else "",
+        picture_answers=as_svg(plot_answers(asked, floor, unit))
+        if any(len(q.get("window_rms") or {}) > 1 for _, q in asked)
+        else "",
         picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",
         picture_candidates=as_svg(plot_candidates(candidates, chosen)) if candidates else "",
         pictures_curves=[as_svg(plot_curve(c)) for c in curves],

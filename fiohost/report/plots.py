@@ -147,7 +147,8 @@ def plot_answers(questions: Sequence[tuple[str, Mapping[str, Any]]], floor: floa
     rows = [
         (f"{name}: {answer}", _float(error), answer == question.get("best"))
         for name, question in questions
-        for answer, error in (question.get("window_rms") or {}).items()
+        if len(question.get("window_rms") or {}) > 1
+        for answer, error in question["window_rms"].items()
     ]
     figure, (axes,) = _figure(9.0, 1.3 + 0.32 * max(len(rows), 1), [1.0])
     y = np.arange(len(rows))[::-1]
