@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import short_runs
 from bench_data import QUANTUM_DEG, measure, multisine, steps, truth_model
 
+from fiohost.circle.evidence import diagnose
+from fiohost.discover.result import to_json
 from fiohost.discover.said import Said
 from fiohost.discover.semantics import Question, ask, shifted
 from fiohost.identify.record import BRAKE, Record
@@ -114,3 +119,23 @@ def test_logs_without_rests_say_nothing_about_zero_duty() -> None:
     found = asked([measure(truth_model(), multisine(10.0, rng), rng)])["zero_duty"]
     assert found.verdict == "not_asked"
     assert "cannot tell" in found.sentence
+
+
+def test_a_diagnosis_of_a_board_says_before_any_dynamics_what_its_log_has_wrong(tmp_path: Path) -> None:
+    (log,) = short_runs.logs_of("sim:ideal", tmp_path, [short_runs.random_steps(20.0)])
+    text = log.path.read_text()
+    assert "# command_delay_ticks: 1\n" in text
+    lines = text.replace("# command_delay_ticks: 1\n", "# command_delay_ticks: 0\n").splitlines(keepends=True)
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("".join(lines[:-500] + lines[-480:]))
+    found = json.loads(json.dumps(to_json(diagnose([wrong], model=DECLARED, library=["transport_delay"]))))
+    assert (found["semantics"]["command_delay"]["verdict"], found["semantics"]["command_delay"]["best"]) in (
+        ("contradicted", "1"),
+        ("suspected", "1"),
+    )
+    (gap,) = found["kinematics"]
+    assert (gap["log"], gap["name"], gap["count"]) == ("wrong.csv", "missing_ticks", 1)
+    assert found["data"]["reversals"] > 3
+    assert found["data"]["cannot_show"]
+    # It warned and changed nothing: the search still meets the tick as a delay.
+    assert [s["effect"] for s in found["steps"]] == ["transport_delay"]
