@@ -17,8 +17,10 @@ from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.outlook import Outlook
 from fiohost.discover.preliminary import Preliminary, examine
+from fiohost.discover.round import Candidate, Progress
 from fiohost.discover.said import Said
-from fiohost.discover.search import Candidate, Found, Progress, Search, Stage, Step, select
+from fiohost.discover.search import Found, Search, Step, select
+from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.identify.intervals import Estimate, estimates

@@ -7,14 +7,15 @@ holds it against: from there on the data would not have been called complete.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from fiohost.discover.metrics import WIDE, Judgement
 from fiohost.discover.screen import Trial, candidates, span_of
-from fiohost.discover.search import Stage
+from fiohost.discover.stage import Stage
+from fiohost.discover.windowed import Windowed
 from fiohost.discover.workers import each
 from fiohost.identify.fit import fit
 from fiohost.identify.predict import Flat, free_output
@@ -72,23 +73,12 @@ class _Log:
         self.record, self.bounds = record, bounds
         self.free, self.windows = judgement.free_residual, judgement.window_residual
         self.first = record.first_second()
-        self.bases = [np.linalg.qr(self._free_in(a, b, lag_s))[0] for a, b in self._cuts()]
-
-    def _cuts(self) -> Iterator[tuple[int, int]]:
-        return zip(self.record.windows[:-1], self.record.windows[1:], strict=True)
-
-    def _free_in(self, a: int, b: int, lag_s: float) -> np.ndarray:
-        """What angle and speed at the start of a window add to the output (n, 1 or 2)."""
-        decay = np.exp(-(self.record.excitation.times_s[a:b] - self.record.excitation.times_s[a]) / lag_s)
-        return np.column_stack((np.ones(b - a), 1.0 - decay)) if self.record.kind == ANGLE else decay[:, None]
+        self.windowed = Windowed(record, lag_s)
 
     def prepared(self, signature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A signature as it shows in the free run, begun with the first second, and in windows."""
         free = signature - signature[: self.first].mean() if self.record.kind == ANGLE else signature
-        windows = np.empty_like(free)
-        for (a, b), basis in zip(self._cuts(), self.bases, strict=True):
-            windows[a:b] = free[a:b] - basis @ (basis.T @ free[a:b])
-        return free, windows
+        return free, self.windowed.clean(free)
 
     def over(self, free: np.ndarray, windows: np.ndarray, factor: float) -> tuple[float, str]:
         """The largest figure over its bound, and which it is, with ``factor`` times a prepared signature added."""

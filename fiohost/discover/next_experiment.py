@@ -17,7 +17,8 @@ from fiohost.discover.choose import STEP_SHARES, folds
 from fiohost.discover.evidence import Dependence
 from fiohost.discover.excitation import lacks
 from fiohost.discover.metrics import judge, pool
-from fiohost.discover.search import Stage, Step
+from fiohost.discover.search import Step
+from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit, fit
 from fiohost.identify.predict import Flat, free_output

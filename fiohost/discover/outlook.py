@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from fiohost.discover.limits import Limit, detection_limits
 from fiohost.discover.next_experiment import NextExperiment, Offer, propose
-from fiohost.discover.search import Progress
+from fiohost.discover.round import Progress
 
 if TYPE_CHECKING:
     from fiohost.discover.diagnose import Diagnosis

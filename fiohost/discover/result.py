@@ -9,7 +9,7 @@ from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
 from fiohost.discover.metrics import Errors, pool
-from fiohost.discover.search import Stage
+from fiohost.discover.stage import Stage
 
 
 def _errors(errors: Errors | None) -> dict[str, Any] | None:

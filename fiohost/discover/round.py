@@ -1,0 +1,198 @@
+"""One round of the search: every effect of the library against what one stage leaves.
+
+score -> refit the best -> object -> cross-validate -> polish those as good -> choose
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fiohost.discover.choose import Validated, fit_anew, full_fit, objection, polish, rough_fit, validate
+from fiohost.discover.floor import replica
+from fiohost.discover.screen import Score, Screen, candidates, chance_share
+from fiohost.discover.stage import Stage
+from fiohost.discover.workers import each
+from fiohost.identify.fit import Fit
+from fiohost.identify.record import Record
+from fiohost.motor.effect import effect
+
+# Effects are refitted while their score is this share of the best one's, at least and at most so many of them;
+# those that come so much farther from the data than the best, in squared error, are not fitted to the end, and those
+# that remain so much worse are not cross-validated.
+WORTH_REFITTING = 0.1
+LEAST_REFITTED, REFITTED = 4, 10
+FAR, HOPELESS = 12.0, 4.0
+# Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
+LOST = 3.0
+REFITTED_ANEW = 16
+# Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
+AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
+LEAST_CV_GAIN = 0.01
+FINISHED = 1.1
+# A further effect must account for this share of what still stands above the floor: small remains have many takers.
+LEAST_OF_REST = 0.3
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What stays the same in all rounds: the records to fit, the groups of them to leave out, the library."""
+
+    records: Sequence[Record]
+    groups: Sequence[Sequence[int]]
+    whole: bool
+    library: Sequence[str] | None
+    rng: np.random.Generator
+    say: Progress
+
+    def validate(self, fitted: Fit) -> Validated:
+        return validate(fitted, self.records, self.groups)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """How one effect did in one round: the share of the residual's power it removed, and why it was not taken."""
+
+    effect: str
+    score: float
+    rejected_because: str | None
+    validated: Validated | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A round's candidates, the winner if one is earned, what speaks for it, and the left-out error it began from."""
+
+    candidates: list[Candidate]
+    winner: Candidate | None = None
+    evidence: Mapping[str, object] = field(default_factory=dict)
+    base_cost: float = np.inf
+
+
+def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
+    """Score, refit and cross-validate every candidate around one stage."""
+    screen = Screen(stage.fit, context.records)
+    offered = candidates(stage.fit.model, context.records, context.library)
+    if not first:  # the little that another effect leaves can always be blamed on an event
+        offered = [e for e in offered if not e.once]
+    context.say(f"scoring {len(offered)} effects against the residual of {stage.fit.model.expression}")
+    scores = sorted(each(screen.score, offered), key=lambda s: s.share, reverse=True)
+    if not scores:
+        return Outcome([])
+    chance = _chance(context, screen, scores)
+    refits = _refits(context, stage, scores)
+    least = min(f.cost for f in refits)
+    found: list[Candidate] = []
+    for score, fitted in zip(scores, refits, strict=False):
+        share = 1.0 - fitted.cost / stage.fit.cost
+        why = _objection(stage, score, fitted, share, chance, least, first)
+        found.append(Candidate(score.effect.name, share, why))
+    passed = [i for i, c in enumerate(found) if c.rejected_because is None]
+    context.say(f"cross-validating {len(passed)} of them")
+    base = context.validate(stage.fit)
+    checked = dict(zip(passed, each(lambda i: context.validate(refits[i]), passed), strict=True))
+    for i, validated in checked.items():
+        found[i] = _checked(found[i], validated, base)
+    found += [
+        Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
+        for s in scores[len(refits) :]
+    ]
+    able = [c for c in found if c.validated is not None]
+    if not able:
+        return Outcome(found)
+    winner = _winner(_finalists(context, able))
+    assert winner.validated is not None
+    evidence = {
+        "residual_power_removed": winner.score,
+        "by_chance": chance,
+        "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost)),
+    }
+    return Outcome([_beside(c, winner) for c in found], winner, evidence, base.cost)
+
+
+def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
+    """The score that the best of all reaches by chance."""
+
+    def draw(rng: np.random.Generator) -> list[np.ndarray]:
+        model = screen.fit.model
+        return [
+            replica(r, model, s, rng) - (r.y - e)
+            for r, s, e in zip(context.records, screen.fit.starts, screen.fit.residuals, strict=True)
+        ]
+
+    sensors = all(r.quantum > 0 for r in context.records)
+    return chance_share(screen, scores, draw if sensors else None, context.rng)
+
+
+def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> list[Fit]:
+    """Fits of the best candidates in the order of their scores; those far from the best remain rough."""
+    worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
+    worth = list(scores[: max(len(worth), LEAST_REFITTED) if context.whole else LEAST_REFITTED])
+    context.say(f"refitting the best {len(worth)}")
+    fits = each(lambda s: rough_fit(stage.fit, s, context.records), worth)
+    if context.whole and min(f.rms for f in fits) > LOST * stage.floor_rms:
+        context.say("still far from the floor: beginning anew with each of them")
+        worth = list(scores[:REFITTED_ANEW])
+        anew = each(lambda s: fit_anew(stage.fit, s, context.records), worth)
+        fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
+    near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(g.cost for g in fits)]
+    full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records, search=context.whole), near)
+    for i, fitted in zip(near, full, strict=True):
+        fits[i] = fitted
+    return fits
+
+
+def _objection(
+    stage: Stage, score: Score, fitted: Fit, share: float, chance: float, least: float, first: bool
+) -> str | None:
+    """Why a refitted candidate is not even cross-validated, or None."""
+    left = fitted.rms / stage.floor_rms
+    if score.effect.once and left > FINISHED:
+        return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
+    above = 1.0 - (left**2 - 1.0) / max((stage.fit.rms / stage.floor_rms) ** 2 - 1.0, 1e-12)
+    if not first and above < LEAST_OF_REST:
+        return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
+    if share <= chance and left > FINISHED:  # what reaches the floor needs no other proof
+        return f"removes {100 * max(share, 0.0):.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
+    why = objection(fitted, score.effect.name)
+    if why is None and fitted.cost > HOPELESS * least:
+        why = f"leaves {np.sqrt(fitted.cost / least):.1f} times the error of the best"
+    return why
+
+
+def _checked(candidate: Candidate, validated: Validated, base: Validated) -> Candidate:
+    """A cross-validated candidate, rejected where records that were left out do not gain by it."""
+    gain = 1.0 - validated.cost / base.cost
+    change = validated.fold_costs / np.maximum(base.fold_costs, 1e-300) - 1.0
+    if gain < LEAST_CV_GAIN or np.sum(change < -LEAST_CV_GAIN) <= np.sum(change > LEAST_CV_GAIN):
+        why = f"changes the error on left-out training records by {-100 * gain:+.1f} % only"
+        return replace(candidate, rejected_because=why)
+    return replace(candidate, validated=validated)
+
+
+def _finalists(context: Context, able: Sequence[Candidate]) -> list[tuple[Candidate, Validated]]:
+    """Those with the lowest left-out error or as good, their fits polished: a ledge must not decide."""
+    checked = [(c, c.validated) for c in able if c.validated is not None]
+    least = min(v.cost for _, v in checked)
+    close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
+    better = [replace(v, fit=polish(v.fit, context.records, context.rng)) for _, v in close]
+    return [(replace(c, validated=v), v) for (c, _), v in zip(close, better, strict=True)]
+
+
+def _winner(finalists: Sequence[tuple[Candidate, Validated]]) -> Candidate:
+    """The best fit to all training records decides; among those as good, the simplest, then the commonest."""
+    fitted = min(v.fit.cost for _, v in finalists)
+    equal = [c for c, v in finalists if v.fit.cost <= AS_GOOD_FITTED * fitted]
+    return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
+
+
+def _beside(candidate: Candidate, winner: Candidate) -> Candidate:
+    """A candidate that could have been taken says how it did beside the one that was."""
+    if candidate.effect == winner.effect or candidate.validated is None or winner.validated is None:
+        return candidate
+    ratio = float(np.sqrt(candidate.validated.cost / winner.validated.cost))
+    return replace(candidate, rejected_because=f"leaves {ratio:.3g} times the left-out error of {winner.effect}")

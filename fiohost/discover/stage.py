@@ -1,0 +1,62 @@
+"""A fitted model judged: its figures on the training records beside the floor they could reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, replica_models
+from fiohost.discover.metrics import Judgement, judge, pool
+from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit
+from fiohost.discover.workers import each
+from fiohost.identify.fit import Fit
+from fiohost.identify.record import Record
+from fiohost.motor.model import Model
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A fitted model with its judgements on the training records.
+
+    ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
+    """
+
+    fit: Fit
+    replica_models: tuple[Model, ...]
+    judgements: tuple[Judgement, ...]
+    floors: tuple[Floor, ...]
+    excesses: tuple[Excess, ...]
+
+    @property
+    def at_floor(self) -> bool:
+        return at_floor(self.excesses)
+
+    @property
+    def floor_rms(self) -> float:
+        """Free-run floor of all records together; infinite where there is none."""
+        pooled = pool([f.errors for f in self.floors])
+        return pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else float("inf")
+
+    @property
+    def windows_above_floor(self) -> float:
+        """Power of the one-second windows, all records together, above that of their floor, as a share of it."""
+        error, floor = pool([j.errors for j in self.judgements]), pool([f.errors for f in self.floors])
+        if error is None or floor is None or floor.window_rms <= 0.0:
+            return 0.0
+        return max((error.window_rms / floor.window_rms) ** 2 - 1.0, 0.0)
+
+
+def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
+    """Judge a fit on whole records; it may have been fitted to pieces of them."""
+    judgements = each(lambda r: judge(r, fitted.model), records)
+    names = [r.name for r in records]
+    models: list[Model] = []
+    for count in (REPLICAS, MORE_REPLICAS):
+        models += replica_models(fitted, fitted_records, rng, count)
+        found = floors(records, fitted.model, judgements, models, rng)
+        above = excesses(names, judgements, found)
+        if not near_limit(above):
+            break
+    return Stage(fitted, tuple(models[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))
