@@ -13,9 +13,10 @@ import short_runs
 from bench_data import QUANTUM_DEG, measure, multisine, steps, truth_model
 
 from fiohost.circle.evidence import diagnose
+from fiohost.discover.asked import Question, shifted
 from fiohost.discover.result import to_json
 from fiohost.discover.said import Said
-from fiohost.discover.semantics import Question, ask, shifted
+from fiohost.discover.semantics import ask
 from fiohost.identify.record import BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run

@@ -1,77 +1,45 @@
 """What a command means on this bench, asked of the data as discrete questions before any effect is looked for.
 
-When does a command act, what does zero duty do, what does the bridge do between pulses? Under each answer the declared
-model is refitted to pieces of the logs and judged by one-second windows. An answer against the log's own statement is
-believed where it leaves the counts alone, or takes away most of the error, and nothing ordinary does so too: a delay
-that is no whole number of ticks is a dead time, not a wrong statement. Nothing is changed; the user is told.
+When does a command act, what does zero duty do, what does the bridge do between pulses? A delay that is no whole number
+of ticks is a dead time, not a wrong statement. Nothing is changed; the user is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.metrics import quantise
+from fiohost.discover.asked import (
+    BELIEVED,
+    FIRST,
+    ROUGH,
+    Asked,
+    Question,
+    at_zero,
+    fit_windows,
+    floor_of,
+    pieces,
+    shifted,
+)
 from fiohost.discover.said import Said
 from fiohost.discover.workers import each
 from fiohost.errors import FiohostError
-from fiohost.identify.fit import Fit, best_of, first_guess, fit
-from fiohost.identify.predict import Flat, free_states, read, window_residuals
-from fiohost.identify.record import ANGLE, BRAKE, SHORTEST, Record, cut_windows
+from fiohost.identify.fit import Fit, best_of, first_guess
+from fiohost.identify.record import ANGLE, BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.state import STANDBY
 
 OFFSETS = (-2, -1, 0, 1, 2)
-PIECE_S, PIECES = 4.0, 10
 LAGS_S = (0.03, 0.1, 0.4)
 DECAY_LAGS_S = (0.0003, 0.001, 0.004)
-ROUGH, FIRST, NEXT = (2, 1e-2), (15, 1e-3), (8, 1e-4)
-BELIEVED = ("contradicted", "suspected")
 LAG = "armature_inductance"
-# Window errors over their floor: so close it is reached; so much worse a statement may be contradicted; so much better
-# is beyond chance where the floor is far.
-REACHED, WORSE, MUCH_BETTER = 1.1, 1.2, 3.0
 # A delay is whole within this many standard errors and this part of a tick, or roughly where the floor is far.
-PERHAPS, SIGMAS, LEAST_TICKS, NEAR_TICK = 1.0, 3.0, 0.005, 0.1
+SIGMAS, LEAST_TICKS, NEAR_TICK = 3.0, 0.005, 0.1
 LEAST_SAMPLES = 20
 # With the bridge open between pulses the mean current is next to nothing below half duty.
 LOW_DUTY_PCT, HIGH_DUTY_PCT, PROPORTIONAL, SPEED_SPAN_S = (15.0, 40.0), 65.0, 0.6, 0.02
-
-Fits = Mapping[str, Fit]
-
-
-@dataclass(frozen=True)
-class Question:
-    """One question with the window error of each answer, in the output's unit.
-
-    ``verdict`` is ``as_said``, ``contradicted`` (beyond doubt), ``suspected``, ``open`` or ``not_asked``; ``sentence``
-    says it for people. ``estimate`` is a delay in ticks with its 95 % interval, where one was fitted freely.
-    """
-
-    name: str
-    said: str
-    verdict: str
-    sentence: str
-    window_rms: Mapping[str, float] = field(default_factory=dict)
-    best: str | None = None
-    estimate: tuple[float, float, float] | None = None
-
-    @property
-    def warns(self) -> bool:
-        return self.verdict in BELIEVED
-
-    def to_json(self) -> dict[str, object]:
-        estimate = self.estimate
-        return {
-            "said": self.said,
-            "best": self.best,
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "window_rms": dict(self.window_rms),
-            "estimate": {"value": estimate[0], "ci95": list(estimate[1:])} if estimate else None,
-        }
 
 
 @dataclass(frozen=True)
@@ -90,107 +58,12 @@ class Semantics:
         }
 
 
-def _piece(record: Record, a: int, b: int) -> Record:
-    """Samples ``a`` to ``b`` of a record with all its commands, so that what acted before them is known."""
-    times = record.excitation.times_s[a:b]
-    return replace(
-        record,
-        excitation=replace(record.excitation, times_s=times),
-        y=record.y[a:b],
-        at_rest=False,
-        windows=cut_windows(times),
-    )
-
-
-def pieces(records: Sequence[Record], count: int = PIECES, length_s: float = PIECE_S) -> list[Record]:
-    """Pieces of the logs in which commands change most, from as many logs as there are."""
-    offered: list[tuple[float, int, Record]] = []
-    for record in records:
-        times, duty = record.excitation.times_s, record.excitation.duties_pct[1:]
-        edges = cut_windows(times, length_s)
-        change = np.abs(np.diff(duty, prepend=duty[0]))
-        scores = [(float(change[a:b].sum()), a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        best = sorted((s for s in scores if s[2] - s[1] >= SHORTEST), key=lambda s: s[0], reverse=True)
-        offered += [(score, rank, _piece(record, a, b)) for rank, (score, a, b) in enumerate(best)]
-    # The best of every log before the second of any.
-    offered.sort(key=lambda o: (o[1], -o[0]))
-    return [piece for _, _, piece in offered[:count]]
-
-
-def shifted(record: Record, ticks: float) -> Record:
-    """The record with its commands acting so many ticks later than it says."""
-    ex = record.excitation
-    return replace(record, excitation=replace(ex, act_times_s=ex.act_times_s + ticks * record.sample_time_s))
-
-
-def at_zero(record: Record, mode: int) -> Record:
-    """The record with every command of zero duty in one mode."""
-    ex = record.excitation
-    return replace(record, excitation=replace(ex, modes=np.where(ex.duties_pct == 0.0, mode, ex.modes)))
-
-
-def _floor(found: Fit, parts: Sequence[Record]) -> float | None:
-    """Window error of data that the fitted model itself would give through the same sensor."""
-    if any(p.quantum <= 0 for p in parts):
-        return None
-    flat, total, samples = Flat.of(found.model), 0.0, 0
-    for part, start in zip(parts, found.starts, strict=True):
-        states = free_states(part, flat, start)
-        left = window_residuals(part, flat, states, quantise(part, read(part, flat, states) + 0.37 * part.quantum))
-        total, samples = total + float(left @ left), samples + len(left)
-    return float(np.sqrt(total / samples))
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """What is common to all questions: the pieces, the declared model fitted to them as the logs say, their floor."""
-
-    records: Sequence[Record]
-    parts: Sequence[Record]
-    guess: Model
-    base: Fit
-    floor: float | None
-
-    def refit(self, model: Model, change: Callable[[Record], Record] = lambda r: r) -> Fit:
-        return _fit(model, [change(p) for p in self.parts], NEXT)
-
-    def reached(self, rms: float) -> bool:
-        return self.floor is not None and rms <= REACHED * self.floor
-
-    def believed(self, said: Fit, answer: Fit, rivals: Sequence[Fit] = ()) -> str:
-        """The verdict on an answer against a statement, beside ordinary explanations fitted to the same pieces."""
-        if self.reached(said.rms) or answer.rms * WORSE > said.rms:
-            return "as_said" if self.reached(said.rms) else "open"
-        margin = min((self._margin(answer, r) for r in rivals), default=np.inf)
-        if margin < PERHAPS:
-            return "open"
-        if self.reached(answer.rms):
-            return "contradicted" if margin > SIGMAS else "suspected"
-        return "suspected" if answer.rms * MUCH_BETTER <= said.rms else "open"
-
-    def _margin(self, answer: Fit, rival: Fit) -> float:
-        """By how many standard errors of the windows an answer beats a rival; infinite where it is plain to see."""
-        if rival.rms > WORSE * answer.rms:
-            return float(np.inf)
-        gains = np.concatenate(
-            [
-                np.add.reduceat(r**2 - a**2, p.windows[:-1])
-                for a, r, p in zip(answer.residuals, rival.residuals, self.parts, strict=True)
-            ]
-        )
-        return float(gains.sum() / max(gains.std() * np.sqrt(len(gains)), 1e-300))
-
-
-def _fit(model: Model, parts: Sequence[Record], effort: tuple[int, float]) -> Fit:
-    return fit(model, parts, windows=True, max_iterations=effort[0], tolerance=effort[1])
-
-
 def _ticks(record: Record) -> int:
     """Ticks after which a command acts, as the record has it."""
     return round(float(record.excitation.act_times_s[0] - record.excitation.times_s[0]) / record.sample_time_s)
 
 
-def _free_delay(asked: _Asked, model: Model, near: int) -> tuple[float, float, float]:
+def _free_delay(asked: Asked, model: Model, near: int) -> tuple[float, float, float]:
     """A freely fitted delay in ticks beside the logs' statement, with its 95 % interval."""
     before, sample_s = -OFFSETS[0], float(np.median([p.sample_time_s for p in asked.parts]))
     key = "transport_delay.delay_s"
@@ -202,7 +75,7 @@ def _free_delay(asked: _Asked, model: Model, near: int) -> tuple[float, float, f
     return float(value), float(value - 1.96 * error), float(value + 1.96 * error)
 
 
-def _whole(asked: _Asked, fits: Mapping[int, Fit], best: int, delay: tuple[float, float, float]) -> str:
+def _whole(asked: Asked, fits: Mapping[int, Fit], best: int, delay: tuple[float, float, float]) -> str:
     """The verdict on a number of ticks: it must be whole, and no electrical lag may do as well."""
     margin = SIGMAS * (delay[2] - delay[0]) / 1.96 + LEAST_TICKS
     if abs(delay[0] - best) > (margin if asked.reached(fits[best].rms) else NEAR_TICK):
@@ -213,7 +86,7 @@ def _whole(asked: _Asked, fits: Mapping[int, Fit], best: int, delay: tuple[float
     return verdict
 
 
-def _when(asked: _Asked, said: Sequence[Said]) -> Question:
+def _when(asked: Asked, said: Sequence[Said]) -> Question:
     """When does a command act?"""
     name = "command_delay"
     ticks = {_ticks(r) for r in asked.records}
@@ -253,7 +126,7 @@ def _when(asked: _Asked, said: Sequence[Said]) -> Question:
     return Question(name, words, verdict, sentence, table, label(best), estimate)
 
 
-def _zero(asked: _Asked, said: Sequence[Said]) -> Question:
+def _zero(asked: Asked, said: Sequence[Said]) -> Question:
     """Does zero duty brake or coast?"""
     name = "zero_duty"
     parts = asked.parts
@@ -292,11 +165,11 @@ def _running_at_zero(part: Record) -> int:
     return int(np.sum(zero[1:] & zero[:-1] & (np.diff(part.y) != 0)))
 
 
-def _fast(asked: _Asked) -> Fit:
+def _fast(asked: Asked) -> Fit:
     """The declared model with fast decay, from the best of a few electrical lags; roughly, where it is no good."""
     models = [asked.guess.with_effect("fast_decay", {"electrical_tau_s": tau}) for tau in DECAY_LAGS_S]
-    rough = min(each(lambda m: _fit(m, asked.parts, ROUGH), models), key=lambda f: f.cost)
-    return rough if rough.rms > asked.base.rms else _fit(rough.model, asked.parts, FIRST)
+    rough = min(each(lambda m: fit_windows(m, asked.parts, ROUGH), models), key=lambda f: f.cost)
+    return rough if rough.rms > asked.base.rms else fit_windows(rough.model, asked.parts, FIRST)
 
 
 def _pulls_at_low_duty(records: Sequence[Record]) -> bool:
@@ -317,7 +190,7 @@ def _pulls_at_low_duty(records: Sequence[Record]) -> bool:
     return enough and bool(np.median(below) > PROPORTIONAL * np.median(above) > 0)
 
 
-def _between(asked: _Asked) -> Question:
+def _between(asked: Asked) -> Question:
     """Is the bridge shorted or open between pulses?"""
     name, effect, base = "decay", "fast_decay", asked.base
     if effect in base.model.effects:
@@ -368,7 +241,7 @@ def ask(records: Sequence[Record], said: Sequence[Said], model: Model, *, from_f
     lags = () if "linear.tau_s" in model.fixed else LAGS_S
     starts = [guess.with_values({"linear.tau_s": tau}) for tau in lags]
     starts += [model] if from_file or not starts else []
-    near = best_of(starts, lambda m: _fit(m, parts, FIRST))
-    asked = _Asked(records, parts, starts[len(starts) // 2], near, _floor(near, parts))
+    near = best_of(starts, lambda m: fit_windows(m, parts, FIRST))
+    asked = Asked(records, parts, starts[len(starts) // 2], near, floor_of(near, parts))
     questions = (_when(asked, said), _zero(asked, said), _between(asked))
     return Semantics(questions, asked.floor, sum(p.seconds for p in parts))
