@@ -16,11 +16,12 @@ from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit, first_guess, fit, unchanged
 from fiohost.identify.intervals import covariance, estimates
+from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import Record, make_record
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
-STARTS = 4
+STARTS, RAW_STARTS = 4, 2
 ANEW_STARTS = 1
 ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
 ANEW_LAG_S = 0.1
@@ -150,9 +151,19 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
     return Validated(fitted, np.array(blocks), np.array(costs))
 
 
+def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
+    """Squared error of a free run with an effect at a trial size, offsets apart."""
+    flat = Flat.of(base.model.with_effect(effect.name, trial))
+    residuals = [r.y - free_output(r, flat, s) for r, s in zip(records, base.starts, strict=True)]
+    return float(sum(np.var(e) * len(e) for e in residuals))
+
+
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     """The base model with one effect added: the best of a few steps from each of its best trials."""
-    starts = [base.model.with_effect(score.effect.name, trial) for trial in score.trials[:STARTS]]
+    trials = [*score.trials[:STARTS]]
+    looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
+    trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
+    starts = [base.model.with_effect(score.effect.name, trial) for trial in trials]
     rough = [fit(m, records, starts=base.starts, max_iterations=5, tolerance=1e-2) for m in starts]
     return min(rough, key=lambda f: f.cost)
 

@@ -41,12 +41,17 @@ class Direction:
 
 @dataclass(frozen=True)
 class Score:
-    """One effect against the residual: its directions, best first, and the trials from which to refit it."""
+    """One effect against the residual: its directions, best first, and the trials from which to refit it.
+
+    ``raw`` are the trials as the library gives them: a size that grows from nothing says little of an effect whose
+    other parameters shape it, so these are looked at as they are.
+    """
 
     effect: Effect
     share: float
     trials: tuple[Trial, ...]
     directions: tuple[Direction, ...]
+    raw: tuple[Trial, ...] = ()
 
 
 def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Effect]:
@@ -148,7 +153,8 @@ class Screen:
             if not effect.linear_pairs and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
-        return Score(effect, share, tuple(starts), tuple(found[i] for i in order))
+        raw = () if effect.linear_pairs else tuple(trials)
+        return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
 
 
 def _varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
