@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fiohost.discover.empirical import Empirical, empirical_term
 from fiohost.discover.limits import Limit, detection_limits
 from fiohost.discover.next_experiment import NextExperiment, Offer, propose
 from fiohost.discover.round import Progress
@@ -19,10 +21,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outlook:
-    """``next_experiment`` of a menu, None where none is called for; ``limits`` of what these data would have shown."""
+    """``next_experiment`` of a menu, None where none is called for; ``limits`` of what these data would have shown;
+    an ``empirical`` term for what nothing explains.
+    """
 
     next_experiment: NextExperiment | None = None
     limits: tuple[Limit, ...] = ()
+    empirical: Empirical | None = None
 
 
 def look_ahead(
@@ -46,4 +51,9 @@ def look_ahead(
         if limits or found.verdict == "no_missing_effect":
             say("finding how small an effect would have been seen")
             sizes = detection_limits(found.final, found.train, library)
-    return replace(found, outlook=Outlook(upcoming, tuple(sizes)), seconds=found.seconds + time.monotonic() - began)
+        term = None
+        if found.verdict == "unexplained":
+            term = empirical_term(found.final, found.train, np.random.default_rng(0))
+    return replace(
+        found, outlook=Outlook(upcoming, tuple(sizes), term), seconds=found.seconds + time.monotonic() - began
+    )

@@ -104,6 +104,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "residual": {
             "white": final.at_floor,
             "depends_on": [d.variable for d in found.residual if d.significant] if not final.at_floor else [],
+            "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {
                 **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},
                 "above_floor": [
