@@ -16,6 +16,7 @@ import numpy as np
 from fiohost.discover.choose import STEP_SHARES, folds
 from fiohost.discover.evidence import Dependence
 from fiohost.discover.excitation import lacks
+from fiohost.discover.exercised import Exercised
 from fiohost.discover.metrics import judge, pool
 from fiohost.discover.search import Step
 from fiohost.discover.stage import Stage
@@ -265,13 +266,13 @@ def _separating(found: Sequence[Separation], chosen: Mapping[str, str], titles: 
 
 
 def _showing(
-    verdict: str, train: Sequence[Record], residual: Sequence[Dependence], titles: Mapping[str, str]
+    verdict: str, seen: Exercised, residual: Sequence[Dependence], titles: Mapping[str, str]
 ) -> NextExperiment | None:
     """The experiment for what the data lack; where something is unexplained, else for what the residual follows."""
     unexplained = verdict == "unexplained"
-    for lack in lacks(train):
+    for lack in lacks(seen):
         if lack.experiment in titles and (lack.core or unexplained):
-            why = f"the logs have no {lack.what}, or too little: {titles[lack.experiment]}"
+            why = f"the logs have little or no {lack.what}: {titles[lack.experiment]}"
             return NextExperiment(why, lack.experiment)
     if not unexplained:
         return None
@@ -289,6 +290,7 @@ def propose(
     steps: Sequence[Step],
     train: Sequence[Record],
     horizon_s: float | None,
+    seen: Exercised,
     residual: Sequence[Dependence],
     offers: Sequence[Offer],
     say: Callable[[str], None] = lambda text: None,
@@ -312,4 +314,4 @@ def propose(
             apart = _separating(found, {rival: name for name, rival in exchanged}, titles)
             if apart.experiment is not None or verdict != "unexplained":
                 return apart
-    return _showing(verdict, train, residual, titles)
+    return _showing(verdict, seen, residual, titles)

@@ -45,7 +45,15 @@ def look_ahead(
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"):
         upcoming = propose(
-            found.verdict, found.final, found.steps, found.train, found.horizon_s, found.residual, offers, say
+            found.verdict,
+            found.final,
+            found.steps,
+            found.train,
+            found.horizon_s,
+            found.preliminary.data.exercised,
+            found.residual,
+            offers,
+            say,
         )
         sizes: list[Limit] = []
         if limits or found.verdict == "no_missing_effect":
