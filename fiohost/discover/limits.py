@@ -177,7 +177,7 @@ class Limits:
             if ratio > 1.0:
                 seen.append((ratio, trial, log, figure))
         if not seen or not first.whole:
-            reason = f"it is there or not: {len(seen)} of the {len(trials)} cases tried would be seen"
+            reason = f"{len(seen)} of the {len(trials)} cases tried would be seen"
             return Limit(effect.name, first.name, first.unit, None, None, {}, reason=reason)
         _, trial, log, figure = min(seen, key=lambda s: s[0])
         rest = {k: v for k, v in trial.items() if k != first.name}

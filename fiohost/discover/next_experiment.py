@@ -272,7 +272,7 @@ def _showing(
     unexplained = verdict == "unexplained"
     for lack in lacks(seen):
         if lack.experiment in titles and (lack.core or unexplained):
-            why = f"the logs have little or no {lack.what}: {titles[lack.experiment]}"
+            why = f"the logs have hardly any {lack.what}: {titles[lack.experiment]}"
             return NextExperiment(why, lack.experiment)
     if not unexplained:
         return None

@@ -10,7 +10,9 @@ from fiohost.report.series import CurvePlot, SeriesPlot
 
 if TYPE_CHECKING:
     from fiohost.discover.diagnose import Diagnosis
+    from fiohost.discover.empirical import Empirical
 
+TORQUE = "torque"
 VARIABLE_LABELS = {
     "angle": "shaft angle in a turn (deg)",
     "speed": "speed ({length}/s)",
@@ -47,6 +49,33 @@ def curves_of(found: Diagnosis) -> list[CurvePlot]:
     if found.final.at_floor:
         return []
     length = "deg" if found.train[0].rotary else "m"
+    term = found.outlook.empirical
+    return [
+        *([_empirical(term, VARIABLE_LABELS[term.variable].format(length=length))] if term else []),
+        *_dependences(found, length),
+    ]
+
+
+def _empirical(term: Empirical, x_label: str) -> CurvePlot:
+    """The empirical term, and by direction where its variable leaves that open."""
+    quantity = "missing torque (% of duty)" if term.kind == TORQUE else f"error of measurement ({term.unit})"
+    x, y = term.curve[:, 0], term.curve[:, 1]
+    ways = {"forward": term.forward, "reverse": term.reverse}
+    return CurvePlot(
+        title=f"Empirical term: {100 * term.share_of_power:.0f} % of what remains, by chance "
+        f"{100 * term.by_chance:.0f} %",
+        x_label=x_label,
+        y_label=quantity,
+        x=x,
+        lines={"empirical": y},
+        band=(y - term.chance, y + term.chance),
+        band_label="what chance can do to a point",
+        points={name: (curve[:, 0], curve[:, 1]) for name, curve in ways.items() if len(curve)},
+    )
+
+
+def _dependences(found: Diagnosis, length: str) -> list[CurvePlot]:
+    """Means of the missing torque over each variable that it follows."""
     return [
         CurvePlot(
             title=f"missing torque against {d.variable.replace('_', ' ')}: {100 * d.r2:.0f} % of it, "

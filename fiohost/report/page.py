@@ -16,7 +16,16 @@ import jinja2
 from fiohost import __version__
 from fiohost.errors import LogError
 from fiohost.report import preliminary, words
-from fiohost.report.plots import as_svg, plot_answers, plot_candidates, plot_curve, plot_residual_bars, plot_series
+from fiohost.report.outlook import empirical_sentence, limit_rows, upcoming_sentence
+from fiohost.report.plots import (
+    as_svg,
+    plot_answers,
+    plot_candidates,
+    plot_curve,
+    plot_residual_bars,
+    plot_separations,
+    plot_series,
+)
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 __all__ = ["CurvePlot", "SeriesPlot", "write_page"]
@@ -86,6 +95,7 @@ def render(
     steps = list(diagnosis.get("steps") or [])
     chosen = [str(step.get("effect")) for step in steps]
     unit = str(diagnosis.get("output_unit", ""))
+    upcoming, separation = diagnosis.get("next_experiment"), diagnosis.get("separation")
     final = diagnosis.get("final") or diagnosis.get("declared") or {}
     asked = preliminary.questions(diagnosis)
     floor = (diagnosis.get("semantics") or {}).get("floor_window_rms")
@@ -118,7 +128,10 @@ def render(
         follows=words.follows(diagnosis),
         white=(diagnosis.get("residual") or {}).get("white"),
         tests=flatten((diagnosis.get("residual") or {}).get("tests") or {}),
-        upcoming=diagnosis.get("next_experiment"),
+        upcoming=upcoming,
+        upcoming_sentence=upcoming_sentence(diagnosis),
+        empirical=empirical_sentence(diagnosis),
+        smallest=limit_rows(diagnosis),
         follow_up=follow_up,
         confirm=confirm,
         confirm_sentence=confirm_sentence(confirm, unit) if confirm else "",
@@ -133,6 +146,9 @@ def render(
         else "",
         picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",
         picture_candidates=as_svg(plot_candidates(candidates, chosen)) if candidates else "",
+        picture_separations=as_svg(plot_separations(separation, (upcoming or {}).get("experiment")))
+        if separation
+        else "",
         pictures_curves=[as_svg(plot_curve(c)) for c in curves],
     )
 

@@ -165,6 +165,29 @@ def plot_answers(questions: Sequence[tuple[str, Mapping[str, Any]]], floor: floa
 
 
 @matplotlib.rc_context(STYLE)
+def plot_separations(separation: Mapping[str, Any], chosen: str | None) -> Figure:
+    """By how many times the floor rivals would differ in every experiment of the menu, the chosen one marked."""
+    rivals = [str(r) for r in separation.get("rivals") or []]
+    experiments = sorted(
+        separation.get("experiments") or [], key=lambda e: min(map(_float, e["over_floor"].values()), default=0.0)
+    )
+    figure, (axes,) = _figure(9.0, 1.4 + 0.3 * max(len(experiments), 1), [1.0])
+    y = np.arange(len(experiments))
+    for index, rival in enumerate(rivals):
+        values = np.array([_float(e["over_floor"].get(rival)) for e in experiments])
+        color = LINE_CYCLE[index % len(LINE_CYCLE)]
+        axes.scatter(values, y, s=40, marker="osD^v"[index % 5], color=color, label=effect_words(rival), zorder=3)
+    axes.axvline(_float(separation.get("separates_from")), color=FLOOR, linestyle=(0, (4, 2)), label="tells apart from")
+    names = [str(e.get("experiment")) for e in experiments]
+    axes.set_yticks(y, [f"{n} (chosen)" if n == chosen else n for n in names])
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("predicted difference, in times the floor")
+    axes.set_title("What each experiment would tell apart")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+@matplotlib.rc_context(STYLE)
 def plot_curve(curve: CurvePlot) -> Figure:
     """A curve with its band and points."""
     figure, (axes,) = _figure(7.5, 4.2, [1.0])
@@ -215,6 +238,9 @@ def save_plots(
     if candidates:
         chosen = [str(step.get("effect")) for step in diagnosis.get("steps") or []]
         pictures.append(("candidates", plot_candidates(candidates, chosen)))
+    if diagnosis.get("separation"):
+        upcoming = (diagnosis.get("next_experiment") or {}).get("experiment")
+        pictures.append(("next_experiment", plot_separations(diagnosis["separation"], upcoming)))
     pictures += [(f"log_{i:02d}_{s.title}", plot_series(s)) for i, s in enumerate(series, start=1)]
     pictures += [(f"curve_{i:02d}_{c.title.partition(':')[0]}", plot_curve(c)) for i, c in enumerate(curves, start=1)]
     written = []

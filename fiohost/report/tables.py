@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from fiohost.report.outlook import print_outlook
 from fiohost.report.preliminary import print_preliminary
 from fiohost.report.words import (
     ROLE_WORDS,
@@ -49,11 +49,8 @@ def print_diagnosis(console: Console, diagnosis: Mapping[str, Any], verbose: boo
     for table in tables:
         console.print(table)
         console.print()
+    print_outlook(console, diagnosis)
     console.width = width
-    upcoming = diagnosis.get("next_experiment")
-    if upcoming:
-        console.print(Text.assemble(("Next experiment: ", "bold"), f"{upcoming.get('experiment')}"))
-        console.print(Padding(Text(str(upcoming.get("why", ""))), (0, 0, 0, 2)))
     seconds = diagnosis.get("seconds")
     if seconds is not None:
         console.print(Text(f"took {number(seconds, 3)} s", style="dim"))

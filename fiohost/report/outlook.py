@@ -1,0 +1,96 @@
+"""What to do next and what was out of reach, in words: next experiment, detection limits, the empirical term.
+
+Knows the JSON of a diagnosis (schema ``fiohost.diagnosis/1``) and nothing else; a diagnosis without these keys has
+nothing to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from fiohost.report.words import FOLLOWS, effect_words, number, with_unit
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+PARITY = {
+    "even": "the same in both directions, as of a load",
+    "odd": "turning round with the direction, as of friction",
+    "mixed": "neither the same nor opposite in the two directions",
+}
+KIND = {"torque": "a missing torque", "measurement": "an error of measurement"}
+
+
+def upcoming_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """Why the next experiment, or why none; empty where there is nothing to say."""
+    why = (diagnosis.get("next_experiment") or diagnosis.get("separation") or {}).get("why") or ""
+    return f"{why[0].upper()}{why[1:]}." if why else ""
+
+
+def empirical_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """What the empirical term says; empty where there is none."""
+    term = (diagnosis.get("residual") or {}).get("empirical")
+    if not term:
+        return ""
+    variable = str(term.get("variable"))
+    parity = PARITY.get(str(term.get("parity")))
+    follows = FOLLOWS.get(variable, variable.replace("_", " "))
+    taken, by_chance = (number(100.0 * float(term[key]), 2) for key in ("share_of_power", "by_chance"))
+    text = (
+        f"Empirical, not a named effect: {KIND.get(str(term.get('kind')), 'a term')} that follows {follows} would take "
+        f"{taken} % of what remains in 1 s windows (by chance {by_chance} %); what remains is "
+        f"{number(term.get('residual_over_floor'), 3)} times the floor"
+    )
+    return f"{text}. It is {parity}." if parity else f"{text}."
+
+
+def limit_rows(diagnosis: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows of the detection limits: effect with its other parameters, parameter, the smallest size that shows."""
+    rows = []
+    for limit in diagnosis.get("detection_limits") or []:
+        at = limit.get("at") or {}
+        given = ", ".join(f"{k} {v if isinstance(v, str) else number(v, 3)}" for k, v in at.items())
+        name = effect_words(str(limit.get("effect"))) + (f" ({given})".replace("_", " ") if given else "")
+        rows.append((name, str(limit.get("parameter")), _size(limit)))
+    return rows
+
+
+def _size(limit: Mapping[str, Any]) -> str:
+    """``beyond 1 by 0.003``, ``0.4 %``, or why there is no size."""
+    value, neutral, unit = limit.get("smallest_visible"), limit.get("neutral"), str(limit.get("unit") or "")
+    if value is None:
+        return f"no size: {limit.get('reason')}"
+    if not neutral:
+        return with_unit(abs(value) if neutral == 0.0 else value, unit, 2)
+    side = "above" if value > neutral else "below"
+    return f"{with_unit(abs(value - neutral), unit, 2)} {side} {number(neutral, 3)}"
+
+
+def print_outlook(console: Console, diagnosis: Mapping[str, Any]) -> None:
+    """The empirical term, detection limits and the next experiment."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    described = empirical_sentence(diagnosis)
+    if described:
+        console.print(Text(described))
+        console.print()
+    rows = limit_rows(diagnosis)
+    if rows:
+        title = Text("Smallest effect that these data would have shown", style="bold")
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
+        for name in ("effect", "parameter"):
+            table.add_column(name, no_wrap=True)
+        table.add_column("smallest visible", justify="left")
+        for row in rows:
+            table.add_row(*(Text(cell) for cell in row))
+        console.print(table)
+        console.print()
+    upcoming, why = diagnosis.get("next_experiment"), upcoming_sentence(diagnosis)
+    if upcoming:
+        console.print(Text.assemble(("Next experiment: ", "bold"), f"fiohost run {upcoming.get('experiment')}"))
+        console.print(Padding(Text(why), (0, 0, 0, 2)))
+    elif why:
+        console.print(Text(why))
