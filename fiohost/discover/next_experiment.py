@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.choose import STEP_SHARES, folds
-from fiohost.discover.evidence import Dependence
 from fiohost.discover.excitation import lacks
 from fiohost.discover.exercised import Exercised
 from fiohost.discover.metrics import judge, pool
@@ -265,23 +264,21 @@ def _separating(found: Sequence[Separation], chosen: Mapping[str, str], titles: 
     return NextExperiment(why, best.experiment, rivals, tuple(found))
 
 
-def _showing(
-    verdict: str, seen: Exercised, residual: Sequence[Dependence], titles: Mapping[str, str]
-) -> NextExperiment | None:
-    """The experiment for what the data lack; where something is unexplained, else for what the residual follows."""
-    unexplained = verdict == "unexplained"
-    for lack in lacks(seen):
-        if lack.experiment in titles and (lack.core or unexplained):
-            why = f"the logs have hardly any {lack.what}: {titles[lack.experiment]}"
-            return NextExperiment(why, lack.experiment)
-    if not unexplained:
-        return None
-    follows = next((d.variable for d in residual if d.significant), None)
-    name = SHOWS.get(follows or "", OTHERWISE)
-    if name not in titles:
-        return None
-    cause = f"what remains follows the {follows.replace('_', ' ')}" if follows else "what remains follows nothing known"
-    return NextExperiment(f"{cause}: {titles[name]}", name)
+def _showing(verdict: str, seen: Exercised, follows: str | None, titles: Mapping[str, str]) -> NextExperiment | None:
+    """The experiment for what the data lack; where something is unexplained, for what the residual ``follows``."""
+    lacking = [x for x in lacks(seen) if x.experiment in titles and (x.core or verdict == "unexplained")]
+    by_need = [
+        NextExperiment(f"the logs have hardly any {x.what}: {titles[x.experiment]}", x.experiment) for x in lacking
+    ]
+    if verdict != "unexplained" or (lacking and lacking[0].core):
+        return by_need[0] if by_need else None
+    name = SHOWS.get(follows or "")
+    if name is not None and name in titles:
+        return NextExperiment(f"what remains follows the {str(follows).replace('_', ' ')}: {titles[name]}", name)
+    if by_need:
+        return by_need[0]
+    why = "what remains follows nothing that was looked at"
+    return NextExperiment(f"{why}: {titles[OTHERWISE]}", OTHERWISE) if OTHERWISE in titles else None
 
 
 def propose(
@@ -291,11 +288,11 @@ def propose(
     train: Sequence[Record],
     horizon_s: float | None,
     seen: Exercised,
-    residual: Sequence[Dependence],
+    follows: str | None,
     offers: Sequence[Offer],
     say: Callable[[str], None] = lambda text: None,
 ) -> NextExperiment | None:
-    """The next experiment of the menu, or None where none is called for."""
+    """The next experiment of the menu, or None where none is called for; ``follows`` is what the residual follows."""
     if not offers:
         return None
     titles = {o.name: o.title for o in offers}
@@ -314,4 +311,4 @@ def propose(
             apart = _separating(found, {rival: name for name, rival in exchanged}, titles)
             if apart.experiment is not None or verdict != "unexplained":
                 return apart
-    return _showing(verdict, seen, residual, titles)
+    return _showing(verdict, seen, follows, titles)

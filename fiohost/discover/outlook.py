@@ -44,24 +44,19 @@ def look_ahead(
     """
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"):
+        term, follows = None, next((d.variable for d in found.residual if d.significant), None)
+        if found.verdict == "unexplained":
+            say("describing what remains")
+            term = empirical_term(found.final, found.train, np.random.default_rng(0))
+            follows = term.variable if term else follows
+        seen = found.preliminary.data.exercised
         upcoming = propose(
-            found.verdict,
-            found.final,
-            found.steps,
-            found.train,
-            found.horizon_s,
-            found.preliminary.data.exercised,
-            found.residual,
-            offers,
-            say,
+            found.verdict, found.final, found.steps, found.train, found.horizon_s, seen, follows, offers, say
         )
         sizes: list[Limit] = []
         if limits or found.verdict == "no_missing_effect":
             say("finding how small an effect would have been seen")
             sizes = detection_limits(found.final, found.train, library)
-        term = None
-        if found.verdict == "unexplained":
-            term = empirical_term(found.final, found.train, np.random.default_rng(0))
     return replace(
         found, outlook=Outlook(upcoming, tuple(sizes), term), seconds=found.seconds + time.monotonic() - began
     )
