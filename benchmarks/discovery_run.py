@@ -70,7 +70,7 @@ def _bench(seed: int, names: tuple[str, ...]) -> tuple[Any, list[Any], list[Any]
 
 
 def clarity(logs: list[Any]) -> float:
-    """How many times its floor the declared model's window error is, in the worst log."""
+    """How many times its floor the declared model's window error is, in the worst log; 0 where nothing shows."""
     import numpy as np
 
     from fiohost.discover.search import Search
@@ -81,6 +81,8 @@ def clarity(logs: list[Any]) -> float:
     records = [record_from_log(log) for log in logs]
     search = Search(records, None, np.random.default_rng(0), None, lambda text: None)
     stage = search.stage(fit_from_scratch(Model.parse(DECLARED), search.records))
+    if stage.at_floor:
+        return 0.0
     pairs = zip(stage.judgements, stage.floors, strict=True)
     return max((j.errors.window_rms / f.errors.window_rms for j, f in pairs if f.errors.window_rms > 0), default=0.0)
 

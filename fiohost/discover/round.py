@@ -26,7 +26,7 @@ WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 FAR, HOPELESS = 12.0, 4.0
 # Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
-LOST = 3.0
+LOST, UTTERLY_LOST = 3.0, 20.0
 REFITTED_ANEW = 16
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
@@ -136,7 +136,8 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> list[Fit
     fits = each(lambda s: rough_fit(stage.fit, s, context.records), worth)
     if context.whole and min(f.rms for f in fits) > LOST * stage.floor_rms:
         context.say("still far from the floor: beginning anew with each of them")
-        worth = list(scores[:REFITTED_ANEW])
+        lost = min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms
+        worth = list(scores if lost else scores[:REFITTED_ANEW])
         anew = each(lambda s: fit_anew(stage.fit, s, context.records), worth)
         fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
     near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(g.cost for g in fits)]

@@ -23,6 +23,8 @@ FLIPS = 400
 # Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
 RESOLUTION_S = 0.02
 BEST_TRIALS = 4
+# A shaft that stands for so long though driven on by more than friction may stand at an end of travel.
+DRIVEN_ON_PCT, HELD_S = 10.0, 0.15
 
 Trial = dict[str, Value]
 
@@ -59,16 +61,29 @@ def candidates(model: Model, records: Sequence[Record], library: Sequence[str] |
     names = effects() if library is None else library
     rotary = all(r.rotary and r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    return [e for e in chosen if (e.trials or e.trials_for) and (rotary or not e.angle_bound)]
+    span = span_of(records)
+    trying = [e for e in chosen if e.trials or (e.trials_for and e.trials_for(span))]
+    return [e for e in trying if rotary or not e.angle_bound]
 
 
 def span_of(records: Sequence[Record]) -> Span:
     """What the records cover."""
     begin = min(r.excitation.clock_s for r in records)
     end = max(r.excitation.clock_s + r.seconds for r in records)
-    angles = [r.y for r in records if r.kind == ANGLE]
-    low = min((float(y.min()) for y in angles), default=0.0)
-    return Span((begin, end), (low, max((float(y.max()) for y in angles), default=0.0)))
+    ends = [end for r in records if r.kind == ANGLE for end in _ends(r)]
+    return Span((begin, end), tuple(ends))
+
+
+def _ends(record: Record) -> list[float]:
+    """Where a record's shaft stood at its extreme angle though driven on, a count's middle."""
+    found = []
+    duty = record.excitation.duties_pct[1:]
+    for side in (1.0, -1.0):
+        outward = side * record.y
+        held = (outward >= outward.max() - 1.01 * record.quantum) & (side * duty > DRIVEN_ON_PCT)
+        if np.count_nonzero(held) * record.sample_time_s >= HELD_S:
+            found.append(side * float(outward.max()) + 0.5 * record.quantum)
+    return found
 
 
 class Screen:

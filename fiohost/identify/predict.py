@@ -18,9 +18,12 @@ from fiohost.motor.state import (
     GAIN,
     GAP,
     HEATING_ON,
+    LOAD_THETA,
     SHARE,
     SMALLEST_SHARE,
     STATE_SIZE,
+    STOP,
+    STOP_ON,
     THETA,
     WARMING_ON,
     WORK_SIZE,
@@ -32,6 +35,7 @@ PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
 MORE_PLAYS = (-0.75, -0.25, 0.25, 0.75)
 DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
 LASH_LOOKS = 40
+END_SLACK_COUNTS = 3.0
 LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
 
 
@@ -69,7 +73,26 @@ def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
 
 def free_states(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
     """States (n, STATE_SIZE) of a free run, of all samples or up to ``last``."""
-    return run(record.excitation, flat.p, flat.on, flat.substep_s, start_state(start, flat.p, flat.on), 0, last)
+    turned = turned_deg(record, flat)
+    begin = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
+    states = run(record.excitation, flat.p, flat.on, flat.substep_s, begin, 0, last)
+    if turned != 0.0:
+        states[:, [THETA, LOAD_THETA]] -= turned
+    return states
+
+
+def turned_deg(record: Record, flat: Flat) -> float:
+    """Whole turns between a record's angle and that of an end of travel: a log begins anew within one turn.
+
+    The shaft was never beyond the end, so the turn is the last one on this side of it.
+    """
+    end = float(flat.p[STOP])
+    if not flat.on[STOP_ON] or end == 0.0 or not record.rotary or record.kind != ANGLE:
+        return 0.0
+    slack = END_SLACK_COUNTS * record.quantum
+    if end > 0.0:
+        return 360.0 * float(np.floor((end + slack - record.y.max()) / 360.0))
+    return 360.0 * float(np.ceil((end - slack - record.y.min()) / 360.0))
 
 
 def free_output(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
@@ -87,6 +110,10 @@ def _fit(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residuals (n), angle shifts (m) and speeds (m) of windows fitted from ``bases`` (m, STATE_SIZE)."""
     ex = record.excitation
+    turned = turned_deg(record, flat)
+    if turned != 0.0:
+        y, bases = y + turned, bases.copy()
+        bases[:, [THETA, LOAD_THETA]] += turned
     longest = int(np.max(np.diff(edges)))
     residuals = np.zeros(int(edges[-1]))
     shifts, omegas = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)

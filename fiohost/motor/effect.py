@@ -84,10 +84,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Span:
-    """What the data cover: the bench's time in seconds and the shaft's angle in degrees."""
+    """What the data cover: the bench's time in seconds, and the angles in degrees where the shaft stood though driven
+    on, as at an end of travel (positive where it was driven forward).
+    """
 
     time_s: tuple[float, float]
-    angle_deg: tuple[float, float]
+    ends_deg: tuple[float, ...]
 
 
 @dataclass(frozen=True)

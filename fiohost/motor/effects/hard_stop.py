@@ -6,9 +6,8 @@ from fiohost.motor.effect import Effect, Parameter, Span, Value
 
 
 def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
-    """A stop can only be where the shaft came last."""
-    low, high = span.angle_deg
-    return tuple({"angle_deg": angle} for angle in (high, low) if angle != 0.0 and (angle > 0.0) == (angle == high))
+    """A stop can only be where the shaft stood though driven on."""
+    return tuple({"angle_deg": angle} for angle in span.ends_deg)
 
 
 EFFECTS = (
