@@ -1,8 +1,9 @@
 """Diagnoses real motors and writes what was found into ``docs/measured.md``, with pictures in ``docs/images``.
 
-Usage: ``python benchmarks/measured.py [FOLDER]``. FOLDER, else ``measured`` in the folder named by FIOHOST_DATA, holds
-``nxt_open_loop``, ``brake_pwm_gearmotor`` and ``emps``: the public data named in the maps of ``configs/maps``. It takes
-some minutes: whole runs, the whole library.
+Usage: ``python benchmarks/measured.py FOLDER [SECTION...]``. FOLDER (or ``-`` for ``measured`` in the folder named by
+FIOHOST_DATA) holds ``nxt_open_loop``, ``brake_pwm_gearmotor`` and ``emps``: the public data named in the maps of
+``configs/maps``. Whole runs against the whole library take minutes, so that sections (nxt, gear, emps) can be made anew
+alone; the others are as ``measured.json`` keeps them, each with the commit it was made at.
 
 The words are in ``measured.template.md``. They describe what was seen when they were written: read them against the
 figures and the pictures after every run.
@@ -10,9 +11,12 @@ figures and the pictures after every run.
 
 from __future__ import annotations
 
+import json
 import os
 import string
+import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import measured_emps
@@ -21,26 +25,34 @@ import measured_nxt
 
 TEMPLATE = Path(__file__).with_name("measured.template.md")
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "measured.md"
-SECTIONS = (
-    ("nxt", "nxt_open_loop", measured_nxt.section),
-    ("gear", "brake_pwm_gearmotor", measured_gearmotor.section),
-    ("emps", "emps", measured_emps.section),
-)
+KEPT = Path(__file__).with_name("measured.json")
+SECTIONS = {
+    "nxt": ("nxt_open_loop", measured_nxt.section),
+    "gear": ("brake_pwm_gearmotor", measured_gearmotor.section),
+    "emps": ("emps", measured_emps.section),
+}
 
 
-def main(folder: Path) -> None:
-    facts: dict[str, str] = {}
-    for prefix, name, section in SECTIONS:
+def commit() -> str:
+    """The commit of the program that runs here."""
+    asked = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PAGE.parent, capture_output=True, text=True)
+    return asked.stdout.strip() or "unknown"
+
+
+def main(folder: Path, chosen: Sequence[str]) -> None:
+    kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    for prefix in chosen:
+        name, section = SECTIONS[prefix]
         print(f"{name}:")
-        facts |= {f"{prefix}_{key}": text for key, text in section(folder / name).items()}
-    text = string.Template(TEMPLATE.read_text(encoding="utf-8")).substitute(facts)
-    PAGE.write_text(text, encoding="utf-8")
+        kept[prefix] = {**section(folder / name), "commit": commit()}
+        KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    facts = {f"{prefix}_{key}": text for prefix, told in kept.items() for key, text in told.items()}
+    PAGE.write_text(string.Template(TEMPLATE.read_text(encoding="utf-8")).substitute(facts), encoding="utf-8")
     print("\n".join(text for key, text in facts.items() if key.endswith("_verdict")))
 
 
 if __name__ == "__main__":
-    named = os.environ.get("FIOHOST_DATA")
-    given = sys.argv[1:] or ([f"{named}/measured"] if named else [])
-    if len(given) != 1:
+    if len(sys.argv) < 2 or not set(sys.argv[2:]) <= set(SECTIONS):
         sys.exit(__doc__)
-    main(Path(given[0]))
+    given = Path(os.environ["FIOHOST_DATA"], "measured") if sys.argv[1] == "-" else Path(sys.argv[1])
+    main(given, sys.argv[2:] or list(SECTIONS))

@@ -94,6 +94,24 @@ def force_error_pct(record: Record, model: Model) -> float | None:
     return 100.0 * float(np.linalg.norm(given - asked) / np.linalg.norm(given))
 
 
+def regressed(record: Record) -> Model:
+    """The published structure by linear least squares on the force, filtered as for the force error."""
+    step, edge = record.sample_time_s, round(EDGE_S / record.sample_time_s)
+    speed = np.gradient(smooth(record.y, step), step)
+    columns = (np.gradient(speed, step), speed, np.sign(speed), np.ones_like(speed))
+    regressor = np.column_stack([smooth(column, step) for column in columns])[edge:-edge]
+    given = smooth(record.excitation.duties_pct[1:], step)[edge:-edge]
+    inertia, viscous, dry, offset = (float(value) for value in np.linalg.lstsq(regressor, given)[0])
+    return PUBLISHED.with_values(
+        {
+            "linear.gain_deg_s_per_pct": 1.0 / viscous,
+            "linear.tau_s": inertia / viscous,
+            "coulomb_friction.level_pct": dry,
+            "constant_load.level_pct": offset,
+        }
+    )
+
+
 def fitted(model: Model, records: Sequence[Record], windows: bool = False) -> Fit:
     near = fit_from_scratch(model, records)
     return fit(near.model, records, windows=True) if windows else near
@@ -190,6 +208,7 @@ def section(folder: Path) -> dict[str, str]:
             whole,
             {
                 "published": (published(), None),
+                "force fitted": (regressed(whole), None),
                 "free run fitted": (full.model, full.rms),
                 "1 s windows fitted": (full_windows, None),
             },
