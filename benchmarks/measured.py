@@ -3,7 +3,7 @@
 Usage: ``python benchmarks/measured.py FOLDER [SECTION...]``. FOLDER (or ``-`` for ``measured`` in the folder named by
 FIOHOST_DATA) holds ``nxt_open_loop``, ``brake_pwm_gearmotor`` and ``emps``: the public data named in the maps of
 ``configs/maps``. Whole runs against the whole library take minutes, so that sections (nxt, gear, emps) can be made anew
-alone; the others are as ``measured.json`` keeps them, each with the commit it was made at.
+alone; the others are as ``measured.json`` keeps them, each with the commit it was made at. ``words`` makes none anew.
 
 The words are in ``measured.template.md``. They describe what was seen when they were written: read them against the
 figures and the pictures after every run.
@@ -31,6 +31,7 @@ SECTIONS = {
     "gear": ("brake_pwm_gearmotor", measured_gearmotor.section),
     "emps": ("emps", measured_emps.section),
 }
+WORDS = "words"
 
 
 def commit() -> str:
@@ -41,7 +42,7 @@ def commit() -> str:
 
 def main(folder: Path, chosen: Sequence[str]) -> None:
     kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
-    for prefix in chosen:
+    for prefix in [c for c in chosen if c != WORDS]:
         name, section = SECTIONS[prefix]
         print(f"{name}:")
         kept[prefix] = {**section(folder / name), "commit": commit()}
@@ -52,7 +53,7 @@ def main(folder: Path, chosen: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2 or not set(sys.argv[2:]) <= set(SECTIONS):
+    if len(sys.argv) < 2 or not set(sys.argv[2:]) <= {*SECTIONS, WORDS}:
         sys.exit(__doc__)
     given = Path(os.environ["FIOHOST_DATA"], "measured") if sys.argv[1] == "-" else Path(sys.argv[1])
     main(given, sys.argv[2:] or list(SECTIONS))
