@@ -21,6 +21,8 @@ from fiohost.motor.simulate import Start
 REPLICAS = 32
 # Drawn in addition where a figure stands just above the first: a tail is not known from so few.
 MORE_REPLICAS = 160
+# The shaft's angle within its count is known to this much at best; a free run this far beyond one count says nothing.
+LEAST_ROOM_COUNTS, LOST_COUNTS = 0.05, 0.5
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,34 @@ class Floor:
     draws: tuple[Judgement, ...]
 
 
-def replica(record: Record, model: Model, start: Start, rng: np.random.Generator) -> np.ndarray:
-    """One draw (n) of what the sensor would have read had the model been true: the angle within its count is
-    unknown.
+def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
+    """Bounds of how far the shaft may stand from the model's angle, from the residual (n) of its free run.
+
+    Every reading bounds it to one count, so a model that is true leaves little room (set membership). The readings of a
+    closed loop hunt for an edge between two counts: no angle drawn at random would do that. Where the model is too far
+    off to say, any angle within the count is possible.
+    """
+    count = record.quantum
+    low, high = float(residual.max()) - 0.5 * count, float(residual.min()) + 0.5 * count
+    middle, room = 0.5 * (low + high), 0.5 * (high - low)
+    if room < -LOST_COUNTS * count:
+        return -0.5 * count, 0.5 * count
+    room = max(room, LEAST_ROOM_COUNTS * count)
+    return middle - room, middle + room
+
+
+def replica(
+    record: Record, model: Model, start: Start, rng: np.random.Generator, residual: np.ndarray | None = None
+) -> np.ndarray:
+    """One draw (n) of what the sensor would have read had the model been true.
+
+    The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
     """
     flat = Flat.of(model)
-    shift = rng.uniform(-0.5, 0.5) * record.quantum if record.kind == ANGLE else 0.0
+    shift = 0.0
+    if record.kind == ANGLE:
+        half = 0.5 * record.quantum
+        shift = rng.uniform(*(within_count(record, residual) if residual is not None else (-half, half)))
     truth = free_output(record, flat, start._replace(angle=start.angle + shift))
     if record.kind == ANGLE:
         return quantise(record, truth + 0.5 * record.quantum)
@@ -81,18 +105,19 @@ def replica_models(
     found = []
     for _ in range(count):
         noises = [
-            replica(r, fitted.model, s, rng) - free_output(r, flat, s)
-            for r, s in zip(records, fitted.starts, strict=True)
+            replica(r, fitted.model, s, rng, e) - free_output(r, flat, s)
+            for r, s, e in zip(records, fitted.starts, fitted.residuals, strict=True)
         ]
         found.append(refitted(fitted, noises))
     return found
 
 
 def replica_floor(
-    record: Record, model: Model, start: Start, models: Sequence[Model], rng: np.random.Generator
+    record: Record, model: Model, judgement: Judgement, models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
-    """Floor of a record: replicas of the model from ``start``, each judged by the model that would be fitted to it."""
-    draws = [judge(record, m, replica(record, model, start, rng)) for m in models]
+    """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it."""
+    start, residual = judgement.start, judgement.free_residual
+    draws = [judge(record, m, replica(record, model, start, rng, residual)) for m in models]
     none = np.empty(0)
     slim = tuple(replace(d, simulated=none, free_residual=none, window_residual=none) for d in draws)
     return Floor(_mean([d.errors for d in draws]), "replicas", slim)
@@ -141,7 +166,7 @@ def floors(
 ) -> list[Floor]:
     """Floors of records by replicas of a model, as judged by ``models``; the scatter of repeats counts where larger."""
     draws = rng.spawn(len(records))
-    found = each(lambda i: replica_floor(records[i], model, judgements[i].start, models, draws[i]), range(len(records)))
+    found = each(lambda i: replica_floor(records[i], model, judgements[i], models, draws[i]), range(len(records)))
     for group in repeats(records):
         free, windows = scatter([judgements[i].free_residual for i in group], records[group[0]].windows)
         for i in group:
