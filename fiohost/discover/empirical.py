@@ -89,6 +89,7 @@ class _Regression:
     coefficients: np.ndarray
     centres: np.ndarray
     chance: float
+    parity: str | None
 
     @property
     def worth(self) -> float:
@@ -178,7 +179,9 @@ class _Evidence:
         noise = signs @ np.add.reduceat(columns * left[:, None], self.edges, axis=0)
         chance = float(np.quantile(np.abs(noise @ solve.T), 0.95))
         share = float(along @ along) / self.power
-        return _Regression(variable, kind, share, by_chance, solve @ (columns.T @ self.residual), centres, chance)
+        found = solve @ (columns.T @ self.residual)
+        parity = _parity(centres, found, columns.T @ columns)
+        return _Regression(variable, kind, share, by_chance, found, centres, chance, parity)
 
     def _smoothest(self, columns: np.ndarray, roughness: np.ndarray) -> np.ndarray:
         """What makes a curve (k) of the columns' products with the residual (k): the stiffest that explains enough."""
@@ -209,12 +212,32 @@ def _roughness(centres: np.ndarray, circular: bool) -> np.ndarray:
     return total
 
 
-def _parity(first: np.ndarray, second: np.ndarray) -> str | None:
-    """Whether two curves (m) are equal (even) or opposite (odd); None of nothing."""
-    even, odd = float(np.sum((first + second) ** 2)), float(np.sum((first - second) ** 2))
-    if even + odd <= 0.0:
+def _mirrored(centres: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """What a curve (k) is in the opposite direction at each of its bins; None where there is but one direction."""
+    x, direction = centres[:, 0], centres[:, 1]
+    other = np.empty_like(values)
+    if np.all(direction == 0.0):  # a variable that turns round with the direction itself
+        order = np.argsort(x)
+        if x.min() >= 0.0 or x.max() <= 0.0:
+            return None
+        return np.asarray(np.interp(-x, x[order], values[order]))
+    for d in (1.0, -1.0):
+        here, there = direction == d, direction == -d
+        if not here.any() or not there.any():
+            return None
+        order = np.argsort(x[there])
+        other[here] = np.interp(x[here], x[there][order], values[there][order])
+    return other
+
+
+def _parity(centres: np.ndarray, values: np.ndarray, normal: np.ndarray) -> str | None:
+    """Whether a curve (k) is even or odd in direction, by the power that its two parts explain (k, k)."""
+    other = _mirrored(centres, values)
+    if other is None:
         return None
-    share = even / (even + odd)
+    even, odd = (0.5 * (values + sign * other) for sign in (1.0, -1.0))
+    powers = float(even @ normal @ even), float(odd @ normal @ odd)
+    share = powers[0] / max(sum(powers), 1e-300)
     return "even" if share > CLEARLY else "odd" if share < 1.0 - CLEARLY else "mixed"
 
 
@@ -230,23 +253,19 @@ def _described(best: _Regression, over_floor: float, unit: str) -> Empirical:
     forward, reverse = (
         _centred(np.column_stack((x, y))[direction == d]) if best.variable in DIRECTED else empty for d in (1.0, -1.0)
     )
-    curve, parity = np.column_stack((x, y)), None
-    if best.variable not in DIRECTED:
-        order = np.argsort(x)
-        curve = curve[order]
-        both = np.abs(x) <= min(-float(x.min()), float(x.max()))
-        if both.any():
-            parity = _parity(y[both], np.interp(-x[both], x[order], y[order]))
-    elif len(forward) > 1 and len(reverse) > 1:
+    sign = {"even": 1.0, "odd": -1.0}.get(best.parity or "")
+    if len(forward) and len(reverse):
         back = np.interp(forward[:, 0], reverse[:, 0], reverse[:, 1])
-        parity = _parity(forward[:, 1], back)
-        sign = {"even": 1.0, "odd": -1.0}.get(parity or "")
         curve = forward if sign is None else np.column_stack((forward[:, 0], 0.5 * (forward[:, 1] + sign * back)))
-    else:
+    elif best.variable in DIRECTED:
         curve = forward if len(forward) else reverse
+    else:
+        other = _mirrored(best.centres, y)
+        y = y if sign is None or other is None else 0.5 * (y + sign * other)
+        curve = np.column_stack((x, y))[np.argsort(x)]
     return Empirical(
         variable=best.variable,
-        parity=parity,
+        parity=best.parity,
         kind=best.kind,
         share_of_power=best.share,
         by_chance=best.by_chance,
