@@ -123,7 +123,7 @@ def run_task(task: Task) -> Row:
         j.errors.window_rms <= sorted(d.errors.window_rms for d in f.draws)[-1] * 1.005
         for j, f in zip(found.after_holdout, found.floor_holdout, strict=True)
     ]
-    known = estimates(found.final.fit, found.final.replica_models)
+    known = estimates(found.final.fit, found.final.scattered_models)
     return {
         "key": task.key,
         "kind": task.kind,

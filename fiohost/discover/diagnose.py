@@ -151,4 +151,4 @@ def pooled(judgements: Sequence[Judgement]) -> Errors | None:
 
 
 def parameters(stage: Stage) -> dict[str, Estimate]:
-    return estimates(stage.fit, stage.replica_models)
+    return estimates(stage.fit, stage.scattered_models)

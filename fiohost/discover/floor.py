@@ -98,14 +98,17 @@ def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
 
 
 def replica_models(
-    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, count: int = REPLICAS
+    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, count: int = REPLICAS, *, anywhere: bool = False
 ) -> list[Model]:
-    """Models (count) as they would be fitted to replicas of the records that were fitted."""
+    """Models (count) as they would be fitted to replicas of the records that were fitted.
+
+    ``anywhere`` lets the shaft stand anywhere within its count: how estimates scatter from one bench to the next.
+    """
     flat = Flat.of(fitted.model)
     found = []
     for _ in range(count):
         noises = [
-            replica(r, fitted.model, s, rng, e) - free_output(r, flat, s)
+            replica(r, fitted.model, s, rng, None if anywhere else e) - free_output(r, flat, s)
             for r, s, e in zip(records, fitted.starts, fitted.residuals, strict=True)
         ]
         found.append(refitted(fitted, noises))

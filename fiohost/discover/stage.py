@@ -21,10 +21,12 @@ class Stage:
     """A fitted model with its judgements on the training records.
 
     ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
+    ``scattered_models`` likewise, from benches whose shafts stand elsewhere within their counts: for intervals.
     """
 
     fit: Fit
     replica_models: tuple[Model, ...]
+    scattered_models: tuple[Model, ...]
     judgements: tuple[Judgement, ...]
     floors: tuple[Floor, ...]
     excesses: tuple[Excess, ...]
@@ -59,4 +61,5 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
         above = excesses(names, judgements, found)
         if not near_limit(above):
             break
-    return Stage(fitted, tuple(models[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))
+    scattered = replica_models(fitted, fitted_records, rng, anywhere=True)
+    return Stage(fitted, tuple(models[:REPLICAS]), tuple(scattered), tuple(judgements), tuple(found), tuple(above))
