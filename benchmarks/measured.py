@@ -45,7 +45,7 @@ def main(folder: Path, chosen: Sequence[str]) -> None:
     for prefix in [c for c in chosen if c != WORDS]:
         name, section = SECTIONS[prefix]
         print(f"{name}:")
-        kept[prefix] = {**section(folder / name), "commit": commit()}
+        kept[prefix] = {"commit": commit(), **section(folder / name)}
         KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     facts = {f"{prefix}_{key}": text for prefix, told in kept.items() for key, text in told.items()}
     PAGE.write_text(string.Template(TEMPLATE.read_text(encoding="utf-8")).substitute(facts), encoding="utf-8")
