@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 )
 @click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
-@click.option("--limits", is_flag=True, help="Say how small an effect would have been seen, whatever is found.")
+@click.option(
+    "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
+)
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
@@ -85,6 +87,8 @@ def diagnose(
         )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)
+    if limits and not result["detection_limits"]:
+        say("no detection limits: while something is unexplained, it hides what else may be there")
     if save_model is not None:
         found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
         say(f"model written to {save_model}")

@@ -40,7 +40,7 @@ def look_ahead(
 ) -> Diagnosis:
     """The diagnosis with its outlook; ``offers`` are the experiments that could be run.
 
-    Detection limits of the ``library`` are found where nothing is missing, and by ``limits`` whatever was found.
+    Detection limits of the ``library`` are found where nothing is missing, and by ``limits`` where effects explain all.
     """
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"):
@@ -54,7 +54,8 @@ def look_ahead(
             found.verdict, found.final, found.steps, found.train, found.horizon_s, seen, follows, offers, say
         )
         sizes: list[Limit] = []
-        if limits or found.verdict == "no_missing_effect":
+        # Beside what is there and unexplained, no size of anything else can be told.
+        if found.final.at_floor and (limits or not found.steps):
             say("finding how small an effect would have been seen")
             sizes = detection_limits(found.final, found.train, library)
     return replace(
