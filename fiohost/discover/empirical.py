@@ -148,7 +148,8 @@ class _Evidence:
                 if inside.sum() >= FEWEST:
                     columns.append(inside)
                     centres.append((float(values[inside].mean()), direction))
-        return np.array(columns, dtype=np.float64).reshape(len(columns), -1).T, np.array(centres).reshape(-1, 2)
+        rows = np.array(columns, dtype=np.float64).reshape(len(columns), len(values))
+        return rows.T, np.array(centres).reshape(-1, 2)
 
     def _columns(self, indicators: np.ndarray, kind: str) -> np.ndarray:
         """What each bin does to the output in windows, (n, k)."""
