@@ -33,6 +33,7 @@ MOMENT_S = 2.0
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
 STEP_SHARES = (1.0, 0.5, 0.25)
+KNOWN_ANYWAY = 0.02
 SIGMAS_FROM_NEUTRAL = 3.0
 LEAST_CV_GAIN = 0.01
 BLOCK_S = 2.0
@@ -116,14 +117,18 @@ class Validated:
 def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) -> Model:
     """The model as it would be fitted without a group of its records: one Newton step from the whole fit, halved
     while it does not pay on the rest.
+
+    A parameter of which the rest says next to nothing stays where the whole fit has it.
     """
     if not fitted.names:
         return fitted.model
     rest = [i for i in range(len(records)) if i not in group]
     hessian = sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in rest)
     gradient = sum(fitted.jacobians[i].T @ fitted.residuals[i] for i in rest)
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
+    whole = hessian + sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in group)
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    held = hessian / np.outer(scale, scale) + KNOWN_ANYWAY * np.eye(len(scale))
+    step = np.linalg.solve(held, gradient / scale) / scale
     before = sum(float(fitted.residuals[i] @ fitted.residuals[i]) for i in rest)
     kept, starts = [records[i] for i in rest], [fitted.starts[i] for i in rest]
     for share in STEP_SHARES:
