@@ -30,6 +30,8 @@ COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)
 FINEST = np.geomspace(0.98, 1.02, 16)
 MOMENT_S = 2.0
+# Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
+FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
 STEP_SHARES = (1.0, 0.5, 0.25)
@@ -218,7 +220,37 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         near = [models[i] for i in np.argsort(costs)[:2]]
         fits = [fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
-    return found
+    return _centred(found, key, records)
+
+
+def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
+    """The middle of where the data cannot tell one value of a parameter from the next.
+
+    Whether a shaft starts or not is all that is known of a threshold: between two commands any level does.
+    """
+    parameter, centre = found.model.parameter(key), found.model.number(key)
+
+    def same(value: float) -> bool:
+        inside = parameter.lower <= value <= parameter.upper
+        moved = found.model.with_values({key: value}) if inside else found.model
+        return inside and unchanged(moved, records, starts=found.starts).cost <= found.cost * (1.0 + FLAT)
+
+    def edge(way: float) -> float:
+        near, step = centre, way * max(abs(centre), 1e-3) * FIRST_STEP
+        for _ in range(DOUBLINGS):
+            if not same(near + step):
+                break
+            near, step = near + step, 2.0 * step
+        for _ in range(HALVINGS):
+            step *= 0.5
+            near = near + step if same(near + step) else near
+        return near
+
+    middle = 0.5 * (edge(-1.0) + edge(1.0))
+    if middle == centre:
+        return found
+    moved = fit(found.model.with_values({key: middle}), records, starts=found.starts, max_iterations=2)
+    return moved if moved.cost <= found.cost * (1.0 + FLAT) else found
 
 
 def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
