@@ -22,7 +22,7 @@ from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 STARTS, RAW_STARTS = 4, 2
-ANEW_STARTS = 1
+ANEW_STARTS = 2
 ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
 ANEW_LAG_S = 0.1
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
@@ -187,7 +187,10 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         near = fit(guess, parts, windows=True, max_iterations=12, tolerance=1e-2)
         return fit(near.model, records, max_iterations=8, tolerance=1e-3)
 
-    return min((attempt(t) for t in score.trials[:ANEW_STARTS]), key=lambda f: f.cost)
+    trials = score.trials[:1]
+    if score.raw:
+        trials = tuple(sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[:ANEW_STARTS])
+    return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
 def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: bool = True) -> Fit:
