@@ -26,7 +26,7 @@ WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 FAR, HOPELESS = 12.0, 4.0
 # Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
-LOST, UTTERLY_LOST = 2.0, 20.0
+LOST, UTTERLY_LOST = 3.0, 20.0
 REFITTED_ANEW = 16
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
