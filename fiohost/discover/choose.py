@@ -247,9 +247,9 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
     return min((found, *nudged), key=lambda f: f.cost)
 
 
-def objection(found: Fit, name: str) -> str | None:
-    """Why a fitted effect cannot be believed by its parameters alone, or None."""
-    known = estimates(found)
+def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
+    """Why a fitted effect cannot be believed by its parameters alone, or None; replicas as for ``estimates``."""
+    known = estimates(found, replicas)
     for parameter in found.model.parts()[-1].parameters:
         key = f"{name}.{parameter.name}"
         if not parameter.is_smooth or key not in known:

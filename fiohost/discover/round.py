@@ -96,7 +96,7 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     base = context.validate(stage.fit)
     checked = dict(zip(passed, each(lambda i: context.validate(refits[i]), passed), strict=True))
     for i, validated in checked.items():
-        found[i] = _checked(found[i], validated, base)
+        found[i] = checked(found[i], validated, base)
     found += [
         Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
         for s in scores[len(refits) :]
@@ -111,7 +111,7 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
         "by_chance": chance,
         "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost)),
     }
-    return Outcome([_beside(c, winner) for c in found], winner, evidence, base.cost)
+    return Outcome([beside(c, winner) for c in found], winner, evidence, base.cost)
 
 
 def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
@@ -165,7 +165,7 @@ def _objection(
     return why
 
 
-def _checked(candidate: Candidate, validated: Validated, base: Validated) -> Candidate:
+def checked(candidate: Candidate, validated: Validated, base: Validated) -> Candidate:
     """A cross-validated candidate, rejected where records that were left out do not gain by it."""
     gain = 1.0 - validated.cost / base.cost
     change = validated.fold_costs / np.maximum(base.fold_costs, 1e-300) - 1.0
@@ -191,7 +191,7 @@ def _winner(finalists: Sequence[tuple[Candidate, Validated]]) -> Candidate:
     return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
 
 
-def _beside(candidate: Candidate, winner: Candidate) -> Candidate:
+def beside(candidate: Candidate, winner: Candidate) -> Candidate:
     """A candidate that could have been taken says how it did beside the one that was."""
     if candidate.effect == winner.effect or candidate.validated is None or winner.validated is None:
         return candidate

@@ -103,7 +103,7 @@ class Search:
         return fitted
 
 
-def _named_with(winner: str, rivals: Mapping[str, Model]) -> tuple[str, ...]:
+def named_with(winner: str, rivals: Mapping[str, Model]) -> tuple[str, ...]:
     """The names that are said together with a winner: its exact equivalents, its rivals and theirs."""
     names = [n for name in (winner, *rivals) for n in (name, *effect(name).equivalents)]
     return tuple(n for n in dict.fromkeys(names) if n != winner)
@@ -139,5 +139,5 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         rivals = search.rivals(outcome)
         stage = grown
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
-        steps.append(Step(winner.effect, stage, evidence, _named_with(winner.effect, rivals), rivals))
+        steps.append(Step(winner.effect, stage, evidence, named_with(winner.effect, rivals), rivals))
     return Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))

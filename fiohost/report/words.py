@@ -118,7 +118,7 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     """The result in one or two sentences that stand alone."""
     verdict = diagnosis.get("verdict")
     declared = str((diagnosis.get("declared") or {}).get("model", "the declared model"))
-    found = [_with_rivals(step) for step in diagnosis.get("steps") or []]
+    found = [with_rivals(step) for step in diagnosis.get("steps") or []]
     change = _change(diagnosis)
     rest = follows(diagnosis)
     if verdict == "no_missing_effect":
@@ -133,7 +133,7 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
 
 
-def _with_rivals(step: Mapping[str, Any]) -> str:
+def with_rivals(step: Mapping[str, Any]) -> str:
     rivals = [effect_words(str(name)) for name in step.get("indistinguishable_from") or []]
     name = effect_words(str(step.get("effect", "?")))
     return f"{name} (these data cannot tell it from {listed(rivals, 'or')})" if rivals else name
