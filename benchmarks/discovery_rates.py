@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,33 @@ def missed(row: Row) -> bool:
     return not (exact(row) if row["kind"] == "pair" else first_right(row))
 
 
+@dataclass(frozen=True)
+class Bound:
+    """What the smoke run must keep: ``test`` holds in so many of its ``kind`` at least, or at most."""
+
+    name: str
+    kind: str
+    test: Test
+    least: int = 0
+    most: int = 10**9
+
+    def counted(self, rows: Sequence[Row]) -> tuple[bool, str]:
+        """Whether it is kept, and in words."""
+        drawn = [r for r in rows if r["kind"] == self.kind and r.get("drawn")]
+        hits = sum(map(self.test, drawn))
+        limit = f"at least {self.least}" if self.least else f"at most {self.most}"
+        return self.least <= hits <= self.most, f"{self.name}: {hits} of {len(drawn)}, {limit} asked for"
+
+
+# Seen once on the cases of the smoke run (0 of 20, 30 of 30, 3 of 5, 0 of 4), with room for chance.
+BOUNDS = (
+    Bound("nothing missing, an effect claimed", "none", lambda r: bool(r["named"]), most=1),
+    Bound("clear effects, first name right", "clear", first_right, least=26),
+    Bound("pairs, first name right", "pair", first_right, least=2),
+    Bound("outside the library, explained away", "outside", lambda r: r["verdict"] == "explained", most=1),
+)
+
+
 def summary(row: Row) -> str:
     """One case in a line."""
     truth = "+".join(row["truth"]) or "nothing"
@@ -196,7 +224,7 @@ def table(rows: Sequence[Row]) -> str:
     lines += ["", "Misses:", "", *(f"- {summary(r)}" for r in rows if "error" in r or missed(r))]
     absent = sorted({f"{'+'.join(r['truth'])} ({r['kind']})" for r in rows if r.get("drawn") is False})
     if absent:
-        lines += ["", f"No plant of the size asked for was drawn in 40 tries for: {', '.join(absent)}."]
+        lines += ["", f"No plant of the size asked for was drawn, try after try, for: {', '.join(absent)}."]
     return "\n".join(lines)
 
 

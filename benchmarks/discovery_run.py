@@ -10,9 +10,11 @@ from typing import Any
 from discovery_cases import make_case
 
 SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
+# What the smoke run makes do with: 37.6 s.
+STEP_S, TONES_S, PULSES_S, FRESH_S = 0.7, 10.0, 7.5, 10.0
 DECLARED = "linear+coulomb_friction"
 CLEAR, FAINT = 3.0, 1.2
-TRIES = 40
+TRIES, SHORT_TRIES = 40, 10
 
 Row = dict[str, Any]
 
@@ -31,22 +33,43 @@ def same(a: str, b: str) -> bool:
 
 @dataclass(frozen=True)
 class Task:
-    """What to draw: ``kind`` is clear, faint, none, pair or outside; ``seed`` begins the draws."""
+    """What to draw: clear, faint, none, pair or outside; ``seed`` begins the draws, the runs may be ``short``."""
 
     kind: str
     names: tuple[str, ...]
     seed: int
+    short: bool = False
 
     @property
     def key(self) -> str:
         return f"{self.kind} {'+'.join(self.names)} {self.seed}"
 
 
-def held_out(seed: int) -> list[Any]:
+def fitted(short: bool) -> list[Any]:
+    """The experiments that are fitted; the short ones are the first three, each level and pulse once."""
+    from fiohost.bench.experiment import Experiment
+    from fiohost.bench.signals import Staircase
+
+    if not short:
+        return [Experiment.load(name) for name in SUITE]
+    stairs, tones, pulses = (Experiment.load(name) for name in SUITE[:3])
+    levels = next(s for s in stairs.command if isinstance(s, Staircase))
+    stairs = replace(stairs, command=(replace(levels, step_s=STEP_S, duration_s=STEP_S * len(levels.levels)),))
+    return [stairs, lasting(tones, TONES_S), lasting(pulses, PULSES_S)]
+
+
+def lasting(experiment: Any, seconds: float) -> Any:
+    """The beginning of each of an experiment's signals."""
+    return replace(experiment, command=tuple(replace(s, duration_s=seconds) for s in experiment.command))
+
+
+def held_out(seed: int, short: bool) -> list[Any]:
     """Experiments of other kinds than those fitted: fresh random steps, and a square wave elsewhere."""
     from fiohost.bench.experiment import Experiment
     from fiohost.circle.plan import fresh
 
+    if short:
+        return [lasting(fresh(seed), FRESH_S)]
     square = Experiment.load("square_170_190")
     rng = random.Random(f"held out {seed}")
     middle, swing = rng.uniform(60.0, 300.0), rng.uniform(15.0, 60.0)
@@ -54,9 +77,8 @@ def held_out(seed: int) -> list[Any]:
     return [fresh(seed), replace(square, name="square_elsewhere", reference=wave)]
 
 
-def _bench(seed: int, names: tuple[str, ...]) -> tuple[Any, list[Any], list[Any]]:
+def _bench(seed: int, names: tuple[str, ...], short: bool) -> tuple[Any, list[Any], list[Any]]:
     """The case, its training logs and its held-out logs."""
-    from fiohost.bench.experiment import Experiment
     from fiohost.bench.loop import Bench
     from fiohost.transport.profile import TargetProfile
     from fiohost.transport.simulated import SimulatedTransport
@@ -65,8 +87,8 @@ def _bench(seed: int, names: tuple[str, ...]) -> tuple[Any, list[Any], list[Any]
     case = make_case(seed, names)
     board = Board(case.plant, seed=seed)
     with Bench(SimulatedTransport(board.step, "sim:sealed", "simulated"), TargetProfile.load()) as bench:
-        logs = [bench.run(Experiment.load(name)) for name in SUITE]
-        return case, logs, [bench.run(e) for e in held_out(seed)]
+        logs = [bench.run(e) for e in fitted(short)]
+        return case, logs, [bench.run(e) for e in held_out(seed, short)]
 
 
 def clarity(logs: list[Any]) -> float:
@@ -101,9 +123,9 @@ def run_task(task: Task) -> Row:
     from fiohost.identify.intervals import estimates
     from fiohost.motor.effect import effects
 
-    for attempt in range(TRIES):
+    for attempt in range(SHORT_TRIES if task.short else TRIES):
         seed = task.seed + attempt
-        case, logs, held = _bench(seed, task.names)
+        case, logs, held = _bench(seed, task.names, task.short)
         size = clarity(logs)
         if wanted(task.kind, size):
             break
