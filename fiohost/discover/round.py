@@ -94,8 +94,8 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     passed = [i for i, c in enumerate(found) if c.rejected_because is None]
     context.say(f"cross-validating {len(passed)} of them")
     base = context.validate(stage.fit)
-    checked = dict(zip(passed, each(lambda i: context.validate(refits[i]), passed), strict=True))
-    for i, validated in checked.items():
+    left_out = dict(zip(passed, each(lambda i: context.validate(refits[i]), passed), strict=True))
+    for i, validated in left_out.items():
         found[i] = checked(found[i], validated, base)
     found += [
         Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
