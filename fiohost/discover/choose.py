@@ -22,7 +22,7 @@ from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 STARTS, RAW_STARTS = 4, 2
-ANEW_STARTS = 1
+ANEW_STARTS = 2
 ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
 ANEW_LAG_S = 0.1
 # Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
@@ -30,9 +30,12 @@ COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)
 FINEST = np.geomspace(0.98, 1.02, 16)
 MOMENT_S = 2.0
+# Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
+FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
 CLOSE = 1.03
 STEP_SHARES = (1.0, 0.5, 0.25)
+KNOWN_ANYWAY = 0.02
 SIGMAS_FROM_NEUTRAL = 3.0
 LEAST_CV_GAIN = 0.01
 BLOCK_S = 2.0
@@ -116,14 +119,18 @@ class Validated:
 def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) -> Model:
     """The model as it would be fitted without a group of its records: one Newton step from the whole fit, halved
     while it does not pay on the rest.
+
+    A parameter of which the rest says next to nothing stays where the whole fit has it.
     """
     if not fitted.names:
         return fitted.model
     rest = [i for i in range(len(records)) if i not in group]
     hessian = sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in rest)
     gradient = sum(fitted.jacobians[i].T @ fitted.residuals[i] for i in rest)
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
+    whole = hessian + sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in group)
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    held = hessian / np.outer(scale, scale) + KNOWN_ANYWAY * np.eye(len(scale))
+    step = np.linalg.solve(held, gradient / scale) / scale
     before = sum(float(fitted.residuals[i] @ fitted.residuals[i]) for i in rest)
     kept, starts = [records[i] for i in rest], [fitted.starts[i] for i in rest]
     for share in STEP_SHARES:
@@ -180,7 +187,10 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         near = fit(guess, parts, windows=True, max_iterations=12, tolerance=1e-2)
         return fit(near.model, records, max_iterations=8, tolerance=1e-3)
 
-    return min((attempt(t) for t in score.trials[:ANEW_STARTS]), key=lambda f: f.cost)
+    trials = score.trials[:1]
+    if score.raw:
+        trials = tuple(sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[:ANEW_STARTS])
+    return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
 def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: bool = True) -> Fit:
@@ -213,7 +223,37 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         near = [models[i] for i in np.argsort(costs)[:2]]
         fits = [fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
-    return found
+    return _centred(found, key, records)
+
+
+def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
+    """The middle of where the data cannot tell one value of a parameter from the next.
+
+    Whether a shaft starts or not is all that is known of a threshold: between two commands any level does.
+    """
+    parameter, centre = found.model.parameter(key), found.model.number(key)
+
+    def same(value: float) -> bool:
+        inside = parameter.lower <= value <= parameter.upper
+        moved = found.model.with_values({key: value}) if inside else found.model
+        return inside and unchanged(moved, records, starts=found.starts).cost <= found.cost * (1.0 + FLAT)
+
+    def edge(way: float) -> float:
+        near, step = centre, way * max(abs(centre), 1e-3) * FIRST_STEP
+        for _ in range(DOUBLINGS):
+            if not same(near + step):
+                break
+            near, step = near + step, 2.0 * step
+        for _ in range(HALVINGS):
+            step *= 0.5
+            near = near + step if same(near + step) else near
+        return near
+
+    middle = 0.5 * (edge(-1.0) + edge(1.0))
+    if middle == centre:
+        return found
+    moved = fit(found.model.with_values({key: middle}), records, starts=found.starts, max_iterations=2)
+    return moved if moved.cost <= found.cost * (1.0 + FLAT) else found
 
 
 def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:

@@ -26,7 +26,7 @@ WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 FAR, HOPELESS = 12.0, 4.0
 # Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
-LOST, UTTERLY_LOST = 3.0, 20.0
+LOST, UTTERLY_LOST = 2.0, 20.0
 REFITTED_ANEW = 16
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
@@ -180,8 +180,14 @@ def _finalists(context: Context, able: Sequence[Candidate]) -> list[tuple[Candid
     checked = [(c, c.validated) for c in able if c.validated is not None]
     least = min(v.cost for _, v in checked)
     close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
-    better = [replace(v, fit=polish(v.fit, context.records, context.rng)) for _, v in close]
+    better = [_polished(c, v, context) for c, v in close]
     return [(replace(c, validated=v), v) for (c, _), v in zip(close, better, strict=True)]
+
+
+def _polished(candidate: Candidate, validated: Validated, context: Context) -> Validated:
+    """The same with its fit polished, unless that only leads to where the effect could not be believed."""
+    better = polish(validated.fit, context.records, context.rng)
+    return validated if objection(better, candidate.effect) else replace(validated, fit=better)
 
 
 def _winner(finalists: Sequence[tuple[Candidate, Validated]]) -> Candidate:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.choose import folds, indistinguishable, searched_again
+from fiohost.discover.choose import folds, indistinguishable, objection, searched_again
 from fiohost.discover.evidence import dependences
 from fiohost.discover.round import LEAST_CV_GAIN, LEAST_OF_REST, Candidate, Context, Outcome, Progress, run_round
 from fiohost.discover.stage import Stage, judged
@@ -77,7 +77,9 @@ class Search:
         if stage.at_floor or not ragged or not self.context.whole:
             return stage
         better = searched_again(fitted, self.records)
-        return self.stage(better) if better.cost < fitted.cost else stage
+        if better.cost >= fitted.cost or objection(better, better.model.effects[-1]):
+            return stage
+        return self.stage(better)
 
     def rivals(self, outcome: Outcome) -> dict[str, Model]:
         """Those whose left-out error this data cannot tell from the winner's, as they were fitted."""
@@ -109,10 +111,18 @@ def named_with(winner: str, rivals: Mapping[str, Model]) -> tuple[str, ...]:
     return tuple(n for n in dict.fromkeys(names) if n != winner)
 
 
-def _pays(before: Stage, after: Stage) -> bool:
-    """Whether a further effect shows in one-second windows too, where there was something to show."""
+def _reproach(before: Stage, after: Stage) -> str | None:
+    """What speaks against a further effect once it is fitted to the end, or None.
+
+    It has to show in one-second windows too, where there was something to show, and neither figure may rise, whatever
+    its floor: a model whose runs scatter has a high one, and stands close to it at any error.
+    """
+    if any(new > (1.0 + SHOWS) * old for new, old in zip(after.powers, before.powers, strict=True)):
+        return "makes whole runs or one-second windows worse"
     was, left = before.windows_above_floor, after.windows_above_floor
-    return after.at_floor or was <= SHOWS or left <= (1.0 - LEAST_OF_REST) * was
+    if after.at_floor or was <= SHOWS or left <= (1.0 - LEAST_OF_REST) * was:
+        return None
+    return "leaves what stands above the floor in one-second windows as it was"
 
 
 def select(search: Search, model: Model, from_file: bool) -> Found:
@@ -128,9 +138,9 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
             break
         say(f"adding {winner.effect}")
         grown = search.settled(search.prune(winner.validated.fit, model))
-        if steps and not _pays(stage, grown):
-            say(f"{winner.effect} leaves the one-second windows as they were: not added")
-            why = "leaves what stands above the floor in one-second windows as it was"
+        why = _reproach(stage, grown) if steps else None
+        if why:
+            say(f"{winner.effect} {why}: not added")
             offered = [replace(c, rejected_because=why) if c.effect == winner.effect else c for c in offered]
             break
         follows = dependences(search.train, stage.fit.model, stage.judgements, rng)

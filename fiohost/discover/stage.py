@@ -42,6 +42,12 @@ class Stage:
         return pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else float("inf")
 
     @property
+    def powers(self) -> tuple[float, float]:
+        """Mean squares of free runs and of one-second windows, all records together."""
+        error = pool([j.errors for j in self.judgements])
+        return (error.free_run_rms**2, error.window_rms**2) if error else (0.0, 0.0)
+
+    @property
     def windows_above_floor(self) -> float:
         """Power of the one-second windows, all records together, above that of their floor, as a share of it."""
         error, floor = pool([j.errors for j in self.judgements]), pool([f.errors for f in self.floors])

@@ -31,7 +31,7 @@ class Rule:
 RULES = (
     Rule("free_run_rms", 1.25, 0.0, True),
     Rule("window_rms", 1.03, 0.0, True),
-    Rule("bin_violation_pct", 2.0, 2.0, False),
+    Rule("bin_violation_pct", 2.0, 6.0, False),
     Rule("wide_windows_pct", 1.0, 3.0, False),
 )
 
