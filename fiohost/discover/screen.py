@@ -31,14 +31,17 @@ Trial = dict[str, Value]
 
 @dataclass(frozen=True)
 class Direction:
-    """One way in which an effect may act: trial values, and the orthonormal signatures (n, 1 or 2) they leave.
+    """One way in which an effect may act: trial values, and the orthonormal signatures (n, k) they leave.
 
-    ``share`` is the part of the residual's power along them, zero where physics forbids the sign.
+    ``share`` is the part of the residual's power along them, zero where physics forbids the sign. Of an effect bound to
+    the angle there is a sine and a cosine for each zero of angle that the logs have: one size, a phase each, so
+    ``weights`` are the sizes that belong together (none: one).
     """
 
     trial: Trial
     basis: np.ndarray
     share: float
+    weights: tuple[float, ...] = (1.0,)
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,9 @@ class Screen:
         self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
         self.residual = self.clean([r for r in fit.residuals])
         self.power = float(self.residual @ self.residual)
+        common = np.array([not r.own_zero for r in records])
+        alone = [np.arange(len(records)) == i for i in np.flatnonzero(~common)]
+        self._zeros = [*([common] if common.any() else []), *alone]
 
     def coarse(self, series: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Means of each record's series (n, ...) over blocks of about the screen's resolution."""
@@ -120,11 +126,13 @@ class Screen:
 
     def signature(self, effect: Effect, trial: Trial) -> np.ndarray:
         """What adding an effect at a trial size changes (n), cleaned; zero where nothing of its own is left."""
-        model = self.fit.model.with_effect(effect.name, trial)
-        flat = Flat.of(model)
-        change = [
-            free_output(r, flat, s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
-        ]
+        return self._cleaned(self._change(effect, trial))
+
+    def _change(self, effect: Effect, trial: Trial) -> list[np.ndarray]:
+        flat = Flat.of(self.fit.model.with_effect(effect.name, trial))
+        return [free_output(r, flat, s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)]
+
+    def _cleaned(self, change: Sequence[np.ndarray]) -> np.ndarray:
         cleaned = self.clean(change)
         raw = float(np.sqrt(sum(float(c @ c) for c in change)))
         return cleaned if float(np.linalg.norm(cleaned)) > 1e-6 * raw else np.zeros_like(cleaned)
@@ -139,18 +147,29 @@ class Screen:
         return Direction(_scaled(effect, trial, along / size), (signature / size)[:, None].astype(np.float32), share)
 
     def _pair(self, effect: Effect, sine: Trial, cosine: Trial) -> Direction:
-        """A sine and a cosine together: any phase, so any sign."""
-        both = np.column_stack((self.signature(effect, sine), self.signature(effect, cosine)))
+        """A sine and a cosine together: any phase, so any sign; a phase for each zero of angle."""
+        changes = [self._change(effect, t) for t in (sine, cosine)]
+        columns = [
+            self._cleaned([c if there else 0.0 * c for c, there in zip(change, zero, strict=True)])
+            for zero in self._zeros
+            for change in changes
+        ]
+        both = np.column_stack(columns)
         if self.power == 0.0 or np.any(np.linalg.norm(both, axis=0) == 0.0):
             return Direction(sine, np.zeros((len(both), 2), dtype=np.float32), 0.0)
         basis, triangle = np.linalg.qr(both)
         along = basis.T @ self.residual
-        a, b = np.linalg.lstsq(triangle, along, rcond=None)[0]
+        pairs = np.linalg.lstsq(triangle, along, rcond=None)[0].reshape(-1, 2)
+        weights = np.linalg.norm(triangle.reshape(len(triangle), -1, 2), axis=(0, 2))
+        weights /= np.linalg.norm(weights)
         size = next(p for p in effect.parameters if p.neutral is not None and p.is_smooth)
         phase = next(p for p in effect.parameters if p.period is not None)
-        level = float(np.clip(float(np.hypot(a, b)) * float(sine[size.name]), size.lower, size.upper))
+        factor = float(weights**2 @ np.hypot(pairs[:, 0], pairs[:, 1]))
+        level = float(np.clip(factor * float(sine[size.name]), size.lower, size.upper))
+        a, b = pairs[0]
         trial: Trial = {**sine, size.name: level, phase.name: float(np.degrees(np.arctan2(b, a)))}
-        return Direction(trial, basis.astype(np.float32), float(along @ along) / self.power)
+        share = float(powers(along[None, :], weights)[0]) / self.power
+        return Direction(trial, basis.astype(np.float32), share, tuple(weights))
 
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
@@ -170,6 +189,16 @@ class Screen:
         share = found[order[0]].share if found else 0.0
         raw = () if effect.linear_pairs else tuple(trials)
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
+
+
+def powers(along: np.ndarray, weights: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Power (draws) of projections (draws, k) along signatures whose sizes belong together, ``weights`` being those
+    of equal groups of them.
+    """
+    if len(weights) == 1:
+        return np.asarray((along**2).sum(axis=1, dtype=np.float64))
+    groups = np.linalg.norm(along.reshape(len(along), len(weights), -1), axis=2)
+    return np.asarray((groups @ np.asarray(weights)) ** 2)
 
 
 def _varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
@@ -208,13 +237,12 @@ def chance_share(
     """
     directions = [d for s in scores for d in s.directions]
     basis = np.concatenate([d.basis for d in directions], axis=1)
-    owner = np.repeat(np.arange(len(directions)), [d.basis.shape[1] for d in directions])
+    ends = np.cumsum([d.basis.shape[1] for d in directions])
 
     def best(along: np.ndarray) -> np.ndarray:
         """The largest share of any direction for each row of projections (draws, columns)."""
-        powers = np.zeros((len(along), len(directions)))
-        np.add.at(powers.T, owner, (along**2).T)
-        return np.asarray(powers.max(axis=1) / screen.power)
+        parts = zip(np.split(along, ends[:-1], axis=1), directions, strict=True)
+        return np.asarray(np.max([powers(part, d.weights) for part, d in parts], axis=0) / screen.power)
 
     lengths = screen.lengths
     blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
