@@ -49,6 +49,7 @@ def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:
         "initial_speed": repr(result.start.speed),
         "initial_play": repr(result.start.play),
         "initial_drift": repr(result.start.drift),
+        **({} if result.start.zero is None else {"initial_zero": repr(result.start.zero)}),
         "initial_state": "least squares on the first second of the log",
         "free_run_rms": f"{result.errors.free_run_rms:.6g} {result.unit}",
     }

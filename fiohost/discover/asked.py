@@ -103,8 +103,9 @@ def floor_of(found: Fit, parts: Sequence[Record]) -> float | None:
     """Window error of data that the fitted model itself would give through the same sensor."""
     if any(p.quantum <= 0 for p in parts):
         return None
-    flat, total, samples = Flat.of(found.model), 0.0, 0
+    total, samples = 0.0, 0
     for part, start in zip(parts, found.starts, strict=True):
+        flat = Flat.of(found.model).from_zero(start.zero)
         states = free_states(part, flat, start)
         left = window_residuals(part, flat, states, quantise(part, read(part, flat, states) + 0.37 * part.quantum))
         total, samples = total + float(left @ left), samples + len(left)

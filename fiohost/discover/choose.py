@@ -61,6 +61,7 @@ def slices(record: Record, pieces: int) -> list[Record]:
             command_delay_s=delay,
             rotary=record.rotary,
             clock_s=ex.clock_s + float(ex.times_s[a]),
+            own_zero=record.own_zero,
         )
         if a > 0:
             duties = piece.excitation.duties_pct.copy()

@@ -24,7 +24,7 @@ from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.identify.intervals import Estimate, estimates
-from fiohost.identify.record import Record
+from fiohost.identify.record import Record, with_bench_zero
 from fiohost.motor.model import Model
 
 # Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
@@ -97,6 +97,7 @@ def diagnose_records(
     units = {r.unit for r in (*train, *holdout)}
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
+    train = with_bench_zero(train)
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
         return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from fiohost.discover.evidence import bench_angle
 from fiohost.discover.metrics import Judgement, pool
 from fiohost.discover.stage import Stage
 from fiohost.discover.windowed import Windowed
@@ -123,8 +124,10 @@ class _Evidence:
             "duty": [r.excitation.duties_pct[:-1] for r in records],
             "time": [t + r.excitation.clock_s for t, r in zip(times, records, strict=True)],
         }
-        if all(r.rotary and r.kind == ANGLE for r in records):
-            self.values["angle"] = [np.mod(j.simulated, 360.0) for j in judgements]
+        angles = [bench_angle(r, j) for r, j in zip(records, judgements, strict=True)]
+        known = [a for a in angles if a is not None]
+        if len(known) == len(angles):
+            self.values["angle"] = known
 
     def without_own(self, series: np.ndarray) -> np.ndarray:
         """A series (n, ...) without what the model's own parameters could take."""

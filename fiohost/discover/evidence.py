@@ -134,14 +134,23 @@ class Dependence:
         return {"r2": self.r2, "chance_r2": self.chance_r2}
 
 
-def _variables(record: Record, simulated: np.ndarray) -> dict[str, np.ndarray]:
-    """What the missing torque may follow, each (n)."""
+def bench_angle(record: Record, judgement: Judgement) -> np.ndarray | None:
+    """The simulated angle (n) on the bench's turn, 0 to 360; None where the record's zero on it is not known."""
+    if not record.rotary or record.kind != ANGLE or (record.own_zero and judgement.start.zero is None):
+        return None
+    return np.asarray(np.mod(judgement.simulated + (judgement.start.zero or 0.0), 360.0))
+
+
+def _variables(record: Record, judgement: Judgement) -> dict[str, np.ndarray]:
+    """What the missing torque may follow, each (n); an angle whose zero is unknown is the log's own."""
+    simulated = judgement.simulated
     times = record.excitation.times_s
     duty = record.excitation.duties_pct[:-1]
     speed = np.gradient(simulated, times) if record.kind == ANGLE else simulated
     found = {"speed": speed, "speed_sign": np.sign(speed), "duty": duty, "time": times}
     if record.rotary and record.kind == ANGLE:
-        found["angle"] = np.mod(simulated, 360.0)
+        known = bench_angle(record, judgement)
+        found["angle"] = np.mod(simulated, 360.0) if known is None else known
     return found
 
 
@@ -166,21 +175,23 @@ def dependences(
     """Which variables the missing torque follows over all records, strongest first.
 
     ``r2`` is the share of the torque's variance about zero explained by its mean in bins of the variable; the chance
-    level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour.
+    level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour. Every log
+    whose zero of the angle is unknown has bins of the angle for itself; the curve is that of the bench's zero.
     """
     parts = [
-        (missing_torque(r, model, j.free_residual), _variables(r, j.simulated))
-        for r, j in zip(records, judgements, strict=True)
+        (missing_torque(r, model, j.free_residual), _variables(r, j)) for r, j in zip(records, judgements, strict=True)
     ]
     torque = np.concatenate([t for t, _ in parts])
     weight = float(torque @ torque)
     lengths = np.cumsum([0] + [len(t) for t, _ in parts])
+    alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in zip(records, judgements, strict=True)])
+    own_bins = np.repeat(BINS * alone * np.diff(alone, prepend=0), np.diff(lengths))
     found = []
     for name in ("angle", "speed", "speed_sign", "duty", "time"):
         if any(name not in v for _, v in parts):
             continue
         values = np.concatenate([v[name] for _, v in parts])
-        bins = _bins(values, name)
+        bins = _bins(values, name) + (own_bins if name == "angle" else 0)
         r2 = _explained(torque, bins, weight)
         chance = []
         for _ in range(SHIFTS):
@@ -191,7 +202,8 @@ def dependences(
                 ]
             )
             chance.append(_explained(shifted, bins, weight))
-        means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in range(bins.max() + 1)])
-        centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in range(bins.max() + 1)])
+        shown = range(min(bins.max() + 1, BINS))
+        means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
+        centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
         found.append(Dependence(name, r2, float(np.quantile(chance, 0.99)), centres, means))
     return sorted(found, key=lambda d: d.r2 - d.chance_r2, reverse=True)

@@ -120,7 +120,7 @@ def replica_floor(
 ) -> Floor:
     """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it."""
     start, residual = judgement.start, judgement.free_residual
-    draws = [judge(record, m, replica(record, model, start, rng, residual)) for m in models]
+    draws = [judge(record, m, replica(record, model, start, rng, residual), near=start) for m in models]
     none = np.empty(0)
     slim = tuple(replace(d, simulated=none, free_residual=none, window_residual=none) for d in draws)
     return Floor(_mean([d.errors for d in draws]), "replicas", slim)

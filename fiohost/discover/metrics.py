@@ -70,11 +70,12 @@ def _wide_windows(record: Record, residual: np.ndarray) -> float | None:
     return 100.0 * float(np.mean(np.array(spans) > WIDE * record.quantum))
 
 
-def judge(record: Record, model: Model, y: np.ndarray | None = None) -> Judgement:
-    """Judge a model on a record, or on other measurements ``y`` (n) of the same commands."""
+def judge(record: Record, model: Model, y: np.ndarray | None = None, *, near: Start | None = None) -> Judgement:
+    """Judge a model on a record, or on other measurements ``y`` (n) of the same commands, begun ``near`` a start."""
     data = record.y if y is None else y
     flat = Flat.of(model)
-    start = initial_state(record, flat, data)
+    start = initial_state(record, flat, data, near=near)
+    flat = flat.from_zero(start.zero)
     states = free_states(record, flat, start)
     simulated = read(record, flat, states)
     free = data - simulated

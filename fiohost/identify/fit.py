@@ -13,7 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.identify.predict import Flat, best_lash, free_output, free_states, initial_state, window_residuals
+from fiohost.identify.predict import (
+    Flat,
+    best_lash,
+    find_zero,
+    free_output,
+    free_states,
+    has_own_zero,
+    initial_state,
+    window_residuals,
+)
 from fiohost.identify.record import ANGLE, Record
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
@@ -26,6 +35,9 @@ PLAY_ROUNDS = 2
 WARMTH_STEP = 0.01
 # Where the motor stood in its gap shows until both have met on either side.
 LASH_SHOWS_S = 4.0
+# A log's own zero, in degrees of the phase that it turns: difference, and the longest step of one iteration, which
+# shrinks so with every attempt that does not pay.
+ZERO_STEP, ZERO_REACH, ZERO_SHRINKS = 0.1, 30.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,7 @@ class _Point:
 
 
 def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> np.ndarray:
-    """Derivatives (n, 0..3) of the output by the initial angle, speed and warmth, where these are free."""
+    """Derivatives (n, 0..4) of the output by the initial angle, speed, warmth and own zero, where these are free."""
     columns: list[np.ndarray] = []
     if record.kind == ANGLE:
         if flat.bends:
@@ -78,12 +90,26 @@ def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> n
     if flat.warms:
         step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
         columns.append((free_output(record, flat, start._replace(warmth=start.warmth + step)) - y) / step)
+    if has_own_zero(record, flat):
+        turned, step = _turned(flat, start, ZERO_STEP)
+        columns.append((free_output(record, flat, turned) - y) / step)
     return np.column_stack(columns) if columns else np.empty((len(y), 0))
 
 
-def _moved_start(record: Record, start: Start, shift: np.ndarray) -> Start:
-    """A start moved along the columns of ``_start_columns``."""
+def _turned(flat: Flat, start: Start, phase_deg: float) -> tuple[Start, float]:
+    """A start whose zero is turned so that the fastest phase moves by so much, and by how much that is."""
+    step = phase_deg / max(flat.orders())
+    return start._replace(zero=(start.zero or 0.0) + step), step
+
+
+def _moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool, reach: float) -> Start:
+    """A start moved along the columns of its derivatives, its own zero by ``reach`` degrees of a phase at most."""
     left = [float(s) for s in shift]
+    if has_own_zero(record, flat):
+        most = reach / max(flat.orders())
+        start = start._replace(zero=(start.zero or 0.0) + min(max(left.pop(), -most), most))
+    if windows:
+        return start
     if record.kind == ANGLE:
         start = start._replace(angle=start.angle + left.pop(0))
     if not record.at_rest:
@@ -112,17 +138,16 @@ class _Problem:
     def flat(self, p: np.ndarray) -> Flat:
         return self.base.at(p)
 
-    def residual(self, record: Record, point: _Point, index: int, p: np.ndarray) -> np.ndarray:
-        flat = self.flat(p)
-        start = point.starts[index]
+    def residual(self, record: Record, start: Start, p: np.ndarray) -> np.ndarray:
+        flat = self.flat(p).from_zero(start.zero)
         if self.windows:
             return window_residuals(record, flat, free_states(record, flat, start))
         return np.asarray(record.y - free_output(record, flat, start))
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
-        return [self.residual(r, point, i, point.p) for i, r in enumerate(self.records)]
+        return [self.residual(r, s, point.p) for r, s in zip(self.records, point.starts, strict=True)]
 
-    def columns(self, record: Record, point: _Point, index: int, residual: np.ndarray) -> np.ndarray:
+    def columns(self, record: Record, start: Start, point: _Point, residual: np.ndarray) -> np.ndarray:
         """Derivative (n, parameters) of the simulation, one finite difference each, turned inward at a bound."""
         values = point.p[self.slots]
         out = np.empty((len(residual), len(self.slots)))
@@ -132,21 +157,24 @@ class _Problem:
                 step = -step
             p = point.p.copy()
             p[where] += step
-            out[:, j] = (residual - self.residual(record, point, index, p)) / step
+            out[:, j] = (residual - self.residual(record, start, p)) / step
         return out
+
+    def nuisances(self, record: Record, start: Start, p: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Derivatives (n, q) by what is free at a record's start; windows leave but its own zero."""
+        flat = self.flat(p)
+        if not self.windows:
+            return _start_columns(record, flat, start, record.y - residual)
+        if not has_own_zero(record, flat):
+            return np.empty((len(residual), 0))
+        turned, step = _turned(flat, start, ZERO_STEP)
+        return np.asarray((residual - self.residual(record, turned, p)) / step)[:, None]
 
     def linearise(self, point: _Point, residuals: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Columns by parameter with the initial states projected out, and the columns of the initial states."""
-        jacobians, nuisances = [], []
-        flat = self.flat(point.p)
-        for i, record in enumerate(self.records):
-            columns = self.columns(record, point, i, residuals[i])
-            if self.windows:
-                nuisance = np.empty((len(residuals[i]), 0))
-            else:
-                nuisance = _start_columns(record, flat, point.starts[i], record.y - residuals[i])
-            jacobians.append(columns)
-            nuisances.append(nuisance)
+        each = list(zip(self.records, point.starts, residuals, strict=True))
+        jacobians = [self.columns(record, start, point, residual) for record, start, residual in each]
+        nuisances = [self.nuisances(record, start, point.p, residual) for record, start, residual in each]
         return jacobians, nuisances
 
 
@@ -196,7 +224,8 @@ def _solve(
         blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
         active = ~blocked & (np.diag(hessian) > 1e-20 * max(cost, 1e-20))
         improved = False
-        for _ in range(8):
+        flat = problem.flat(point.p)
+        for attempt in range(8):
             step = np.zeros(len(values))
             if active.any():
                 diagonal = np.diag(hessian)[active]
@@ -217,7 +246,8 @@ def _solve(
                 if part.size == 0:
                     continue
                 shift = part[:, -1] - part[:, :-1] @ step
-                trial.starts[i] = _moved_start(record, trial.starts[i], shift)
+                reach = ZERO_REACH * ZERO_SHRINKS**attempt
+                trial.starts[i] = _moved_start(record, flat, trial.starts[i], shift, problem.windows, reach)
             new_residuals = problem.residuals(trial)
             new_cost = _sum_of_squares(new_residuals)
             if np.isfinite(new_cost) and new_cost <= cost:
@@ -264,6 +294,17 @@ def _take_up_play(problem: _Problem, point: _Point) -> bool:
     return changed
 
 
+def _with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
+    """The starts with every log's own zero, where it matters and is not known yet or one order left it open."""
+    several = len(set(flat.orders())) > 1
+    return [
+        start._replace(zero=find_zero(record, flat, near=start.zero))
+        if has_own_zero(record, flat) and (start.zero is None or several)
+        else start
+        for record, start in zip(records, starts, strict=True)
+    ]
+
+
 def _as_model(model: Model, names: Sequence[str], p: np.ndarray) -> Model:
     """The model with fitted values; angles are wrapped into one period."""
     values: dict[str, float | str] = {}
@@ -293,7 +334,8 @@ def fit(
     if not records:
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
-    point = _Point(model.vector(), list(starts) if starts is not None else _initial_starts(model, records))
+    given = _initial_starts(model, records) if starts is None else _with_zeros(problem.base, records, starts)
+    point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if not windows else 0):
         if not _take_up_play(problem, solved[0]):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
+from math import gcd
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from fiohost.identify.record import ANGLE, Record
 from fiohost.identify.windows import fit_windows, read_output
-from fiohost.motor.effect import effects
-from fiohost.motor.model import Model
+from fiohost.motor.effect import effect, effects
+from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
 from fiohost.motor.state import (
     BACKLASH,
@@ -37,11 +39,27 @@ DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
 LASH_LOOKS = 40
 END_SLACK_COUNTS = 3.0
 LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+# A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
+ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
+# Steps from the best of them, in degrees of the phase: difference, longest step, the step that is none, how many.
+ZERO_STEP, ZERO_REACH, ZERO_CLOSE, ZERO_STEPS = 0.1, 30.0, 0.02, 4
+
+
+@cache
+def phase_slots(name: str) -> tuple[tuple[int, int], ...]:
+    """Where in the parameter array an effect keeps its phase and the order that goes with it (-1: once a turn)."""
+    parameters = effect(name).parameters
+    order = next((slot(f"{name}.{q.name}") for q in parameters if q.whole), -1)
+    return tuple((slot(f"{name}.{q.name}"), order) for q in parameters if q.period is not None)
 
 
 @dataclass(frozen=True)
 class Flat:
-    """A model as the kernel takes it: parameter array, switches, step, and what of it matters for initial states."""
+    """A model as the kernel takes it: parameter array, switches, step, and what of it matters for initial states.
+
+    ``phases`` are the slots of phases and orders of what is bound to the angle; ``zero`` is where on the bench's turn
+    the angle is zero that they are written for.
+    """
 
     p: np.ndarray
     on: np.ndarray
@@ -50,22 +68,39 @@ class Flat:
     bends: bool
     gap: bool
     warms: bool
+    phases: tuple[tuple[int, int], ...] = ()
+    zero: float = 0.0
 
     @classmethod
     def of(cls, model: Model) -> Flat:
         bends = any(effects()[name].angle_bound for name in model.effects)
         on = model.switches()
         warms = bool(on[HEATING_ON] or on[WARMING_ON])
-        return cls(model.vector(), on, model.substep_s(), THETA, bends, False, warms).at(model.vector())
+        phases = tuple(where for name in model.effects for where in phase_slots(name))
+        return cls(model.vector(), on, model.substep_s(), THETA, bends, False, warms, phases).at(model.vector())
 
     def at(self, p: np.ndarray) -> Flat:
-        """The same model with other values in its parameter array."""
+        """The same model with other values in its parameter array, for the bench's zero."""
         gap = bool(self.on[BACKLASH]) and float(p[GAP]) > 0.0
-        return replace(self, p=p, seen=seen_angle(p, self.on), gap=gap)
+        return replace(self, p=p, seen=seen_angle(p, self.on), gap=gap, zero=0.0)
+
+    def orders(self) -> list[int]:
+        """How often a turn everything repeats that is bound to the angle."""
+        return [round(float(self.p[order])) if order >= 0 else 1 for _, order in self.phases]
+
+    def from_zero(self, zero: float | None) -> Flat:
+        """The same model for angles counted from another zero of the bench's turn, in degrees; None: the bench's."""
+        turn = (zero or 0.0) - self.zero
+        if turn == 0.0 or not self.phases:
+            return self
+        p = self.p.copy()
+        for (phase, _), order in zip(self.phases, self.orders(), strict=True):
+            p[phase] += order * turn
+        return replace(self, p=p, zero=zero or 0.0)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
-    """The record's output (n) from simulated states (n, STATE_SIZE)."""
+    """The record's output (n) from simulated states (n, STATE_SIZE), ``flat`` being for the record's zero."""
     y = np.empty(len(states))
     read_output(record.excitation.times_s, states, record.kind, flat.seen, flat.p, flat.on, y)
     return y
@@ -73,6 +108,7 @@ def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
 
 def free_states(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
     """States (n, STATE_SIZE) of a free run, of all samples or up to ``last``."""
+    flat = flat.from_zero(start.zero)
     turned = turned_deg(record, flat)
     begin = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
     states = run(record.excitation, flat.p, flat.on, flat.substep_s, begin, 0, last)
@@ -97,6 +133,7 @@ def turned_deg(record: Record, flat: Flat) -> float:
 
 def free_output(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
     """The output (n) of a free run, of all samples or up to ``last``."""
+    flat = flat.from_zero(start.zero)
     return read(record, flat, free_states(record, flat, start, last))
 
 
@@ -169,13 +206,85 @@ def best_lash(flat: Flat, cost: Callable[[float, float], float]) -> tuple[float,
     return float(np.clip(plane.x[0], -1.0, 1.0)), float(plane.x[1]) * gap
 
 
-def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> Start:
+def has_own_zero(record: Record, flat: Flat) -> bool:
+    """Whether where a record's zero is on the bench's turn is unknown and matters."""
+    return record.own_zero and bool(flat.phases)
+
+
+def _look_windows(record: Record, y: np.ndarray) -> list[tuple[int, int, float]]:
+    """Windows (first, end, speed at first) spread over a record in which the shaft moves."""
+    times, edges = record.excitation.times_s, record.windows
+    moving = [
+        (int(a), int(b))
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        if float(np.ptp(y[a:b])) > ZERO_MOTION_COUNTS * record.quantum
+    ]
+    chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), ZERO_WINDOWS)).round().astype(int))
+    found = []
+    for a, b in (moving[i] for i in chosen):
+        early = slice(a, min(a + max(5, (b - a) // 20), b))
+        found.append((a, b, float(np.polyfit(times[early] - times[a], y[early], 1)[0])))
+    return found
+
+
+def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: float | None = None) -> float:
+    """Where on the bench's turn a record's zero is, in degrees, from windows whose angle and speed are free.
+
+    Looked for all around what repeats with the turn; with ``near`` only there, and where other orders than one of the
+    model's would leave that one as it is. Then followed downhill (Gauss-Newton).
+    """
+    data = record.y if y is None else y
+    windows = _look_windows(record, data)
+    if not windows:
+        return near or 0.0
+    orders = flat.orders()
+    once = gcd(*orders)
+
+    def left(zero: float) -> np.ndarray:
+        seen = flat.from_zero(zero)
+        parts = []
+        for a, b, speed in windows:
+            base = start_state(Start(float(data[a]), speed), seen.p, seen.on)[None, :]
+            residuals, _, _ = _fit(record, seen, data, np.array([a, b], dtype=np.int64), base, True)
+            parts.append(residuals[a:])
+        return np.concatenate(parts)
+
+    if near is None:
+        looks = ZERO_LOOKS * (max(orders) // once)
+        zeros = [360.0 / once * i / looks for i in range(looks)]
+    else:
+        zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
+    tried = [left(zero) for zero in zeros]
+    best = min(range(len(tried)), key=lambda i: float(tried[i] @ tried[i]))
+    zero, residual = zeros[best], tried[best]
+    for _ in range(ZERO_STEPS):
+        step = ZERO_STEP / max(orders)
+        column = (residual - left(zero + step)) / step
+        power = float(column @ column)
+        if power <= 0.0:
+            break
+        reach = ZERO_REACH / max(orders)
+        move = float(np.clip(float(column @ residual) / power, -reach, reach))
+        moved = left(zero + move)
+        if not float(moved @ moved) < float(residual @ residual):
+            break
+        zero, residual = zero + move, moved
+        if abs(move) < ZERO_CLOSE / max(orders):
+            break
+    return (zero + 180.0) % 360.0 - 180.0
+
+
+def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, near: Start | None = None) -> Start:
     """How a record begins, from its first second: least squares for angle and speed, the best side of any gap.
 
     The speed is zero where the shaft begins at rest. A count bounds the angle on both sides, so where the model stays
-    within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate).
+    within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate). What
+    the first second cannot show, the warmth and where a log's own zero is, is from the whole record; ``near`` is how
+    the same shaft began, as far as it is known.
     """
     data = record.y if y is None else y
+    zero = find_zero(record, flat, data, near.zero if near else None) if has_own_zero(record, flat) else None
+    flat = flat.from_zero(zero)
     angle, speed = initial_guess(record, data)
     edges = np.array([0, record.first_second()], dtype=np.int64)
 
@@ -192,7 +301,7 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None) -> St
     found = angle + float(shifts[0])
     if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
         found += 0.5 * float(residuals.max() + residuals.min())
-    start = Start(found, float(speeds[0]), play, drift)
+    start = Start(found, float(speeds[0]), play, drift, zero=zero)
     return start._replace(warmth=initial_warmth(record, flat, start, data)) if flat.warms else start
 
 
@@ -209,7 +318,7 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> f
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
     """Measured minus simulated (n) with angle and speed free in each one-second window, other states from
-    ``states``.
+    ``states``, ``flat`` being for the record's zero.
     """
     data = record.y if y is None else y
     bases = np.ascontiguousarray(states[record.windows[:-1]])

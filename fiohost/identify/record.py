@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,8 @@ class Record:
 
     ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED``
     (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown).
-    ``at_rest`` says that the shaft stands still at the first sample.
+    ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows where on the
+    bench's turn its angle is zero.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Record:
     sample_time_s: float
     at_rest: bool
     rotary: bool
+    own_zero: bool = False
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __len__(self) -> int:
@@ -78,6 +81,7 @@ def make_record(
     rotary: bool = True,
     at_rest: bool | None = None,
     clock_s: float = 0.0,
+    own_zero: bool = False,
 ) -> Record:
     """Build a record from columns (n each): times in s, signed duty in percent, measured output in ``unit``.
 
@@ -112,6 +116,7 @@ def make_record(
         sample_time_s=step,
         at_rest=at_rest,
         rotary=rotary,
+        own_zero=own_zero,
         windows=cut_windows(times),
     )
 
@@ -156,6 +161,14 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         sample_time_s=log.sample_time_s,
         command_delay_s=log.command_delay_ticks * log.sample_time_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
+        own_zero=log.pos_reset and output == "angle_deg",
         clock_s=log.bench_time_s,
         at_rest=True if log.begins_at_rest and len(y) > 1 and y[0] == y[1] else None,
     )
+
+
+def with_bench_zero(records: Sequence[Record]) -> list[Record]:
+    """The records, the first of them defining the bench's zero where all have zeros of their own."""
+    if not records or not all(r.own_zero for r in records):
+        return list(records)
+    return [replace(records[0], own_zero=False), *records[1:]]

@@ -47,6 +47,8 @@ class Excitation:
 class Start(NamedTuple):
     """How a run begins: the angle that the encoder sees, the speed, where in a gap the motor stands, -1 to 1, how much
     faster than the motor a load free in the gap drifts, and how warm winding or bearings are, 0 to 1.
+
+    ``zero`` is where on the bench's turn the run's angle is zero, in degrees; None: where the bench's is, or unknown.
     """
 
     angle: float
@@ -54,6 +56,7 @@ class Start(NamedTuple):
     play: float = 0.0
     drift: float = 0.0
     warmth: float = 0.0
+    zero: float | None = None
 
 
 def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
