@@ -34,12 +34,12 @@ def _parameters(stage: Stage, rotary: bool, only: str | None = None) -> dict[str
     return found
 
 
-def _clean(value: Any) -> Any:
+def clean(value: Any) -> Any:
     """Plain JSON: no NaN or infinity, which JSON does not have."""
     if isinstance(value, dict):
-        return {k: _clean(v) for k, v in value.items()}
+        return {k: clean(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_clean(v) for v in value]
+        return [clean(v) for v in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
@@ -116,4 +116,4 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "detection_limits": [limit.to_json() for limit in found.outlook.limits],
         "separation": upcoming.separation_json() if upcoming else None,
     }
-    return _clean(result)  # type: ignore[no-any-return]
+    return clean(result)  # type: ignore[no-any-return]
