@@ -9,12 +9,12 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import click
 
 from fiohost import __version__
+from fiohost.cli.lazy import LazyCommands
 from fiohost.errors import FiohostError
 
 # name -> (module:attribute, short help). The help stands here so that `fiohost --help` imports no command.
@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diagnose": ("fiohost.cli.diagnose:diagnose", "Fit a model to logs and name what it lacks."),
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
+    "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
     "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
     "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
@@ -32,25 +33,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
-class LazyGroup(click.Group):
-    """Loads a command when it is asked for, and turns errors into one sentence and an exit code."""
+class Commands(LazyCommands):
+    """All commands; errors become one sentence and an exit code."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+    table = COMMANDS
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
+        command = super().get_command(ctx, cmd_name)
+        if command is None:
             return None
-        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(import_module(module), attribute)
         taken = {option for parameter in command.params for option in parameter.opts}
         if not taken & {"-v", "--verbose", "--debug"}:
             command.params += [_verbose_option(), _debug_option()]
         return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -112,7 +107,7 @@ def _debug_option() -> click.Option:
 
 
 @click.group(
-    cls=LazyGroup,
+    cls=Commands,
     params=[_verbose_option(), _debug_option()],
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Example: fiohost manual --pwm 40 --duration 5",

@@ -1,0 +1,54 @@
+"""``fiohost lab``: the experiments of the two lab texts.
+
+To add one: ``fiohost/labs/X.py`` (what it does), ``fiohost/cli/labs/X.py`` (its options), a page ``docs/labs/NAME.md``
+and a line in LABS.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from fiohost.cli.lazy import LazyCommands
+from fiohost.cli.output import json_option, output_for
+from fiohost.errors import ConfigError
+from fiohost.settings import nearest
+
+# name -> (module:attribute, short help)
+LABS: dict[str, tuple[str, str]] = {
+    "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
+}
+
+
+class Labs(LazyCommands):
+    """An unknown name is refused with the nearest one, exit 1 as for any unknown name."""
+
+    table = LABS
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and args[0] not in LABS and not args[0].startswith("-"):
+            raise ConfigError(f"unknown lab {args[0]!r}; {nearest(args[0], LABS)}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=Labs, epilog="Example: fiohost lab list")
+def lab() -> None:
+    """Do an experiment of the two lab texts, on a real board or a simulated one."""
+
+
+@click.command("list")
+@json_option
+def list_labs(json_to: str | None) -> None:
+    """List the experiments with what each is about; a page on each is in docs/labs/.
+
+    \b
+    Example:
+      fiohost lab list
+    """
+    out = output_for(json_to)
+    shown = {name: text for name, (_, text) in LABS.items() if name != "list"}
+    width = max((len(name) for name in shown), default=0)
+    for name, text in shown.items():
+        out(f"{name:<{width}}  {text}")
+    out.json([{"lab": name, "about": text} for name, text in shown.items()])

@@ -1,0 +1,1 @@
+"""``fiohost lab NAME``: one module for each experiment's options."""

@@ -1,0 +1,73 @@
+"""How the result of a lab is shown: tables, answers, pictures in a folder, JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from fiohost.cli.output import Output, json_option, make_folder
+from fiohost.errors import FiohostError
+
+if TYPE_CHECKING:
+    from fiohost.labs.result import Cell, LabResult, Table
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def result_options(command: Command) -> Command:
+    """Add ``--report DIR`` and ``--json FILE|-``, as arguments ``report`` (text) and ``json_to``."""
+    text = "Folder for pictures and logs; made where it is missing."
+    command = click.option("--report", metavar="DIR", default="lab", show_default=True, help=text)(command)
+    return json_option(command)
+
+
+def report_folder(report: str) -> Path:
+    """The folder of ``--report``, made before any work is done. Raises FiohostError."""
+    folder = Path(report)
+    make_folder(folder)
+    return folder
+
+
+def present(result: LabResult, out: Output, folder: Path) -> None:
+    """Print a result, save its pictures as ``FOLDER/NAME.png``, write its JSON."""
+    out(f"{result.title}  [{result.target}]")
+    for table in result.tables:
+        _print_table(table, out)
+    for answer in result.answers:
+        out(f"\n{answer.question}\n  {answer.answer}")
+    for note in result.notes:
+        out(f"note: {note}")
+    files = dict(result.files)
+    for name, draw in result.figures.items():
+        path = folder / f"{name}.png"
+        try:
+            draw().savefig(path, dpi=130)
+        except OSError as exc:
+            raise FiohostError(f"cannot write the picture {path}: {exc.strerror}") from exc
+        files[name] = str(path)
+    for role, name in files.items():
+        out(f"{role}: {name}")
+    out.json({**result.to_json(), "files": files})
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell as it is printed: four significant digits."""
+    if cell is None:
+        return ""
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def _print_table(table: Table, out: Output) -> None:
+    from rich import box
+    from rich.table import Table as RichTable
+
+    shown = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, column in enumerate(table.columns):
+        numbers = all(not isinstance(row[i], str) for row in table.rows)
+        shown.add_column(column, justify="right" if numbers else "left")
+    for row in table.rows:
+        shown.add_row(*(cell_text(cell) for cell in row))
+    out.console.print(shown)
