@@ -25,7 +25,8 @@ from fiohost.circle.menu import MENU, menu, offer
 from fiohost.cli.main import cli
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.empirical import Empirical, empirical_term
-from fiohost.discover.limits import Limit, detection_limits
+from fiohost.discover.limit import Limit
+from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import judge
 from fiohost.discover.next_experiment import SEPARATES, Duel, separations
 from fiohost.discover.outlook import look_ahead

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
+from fiohost.discover.limit import shipped
 from fiohost.motor.effect import Effect, Parameter, effects
+from fiohost.report.outlook import given_words, size_words
 from firmware_model.registry import effects as board_effects
 
 PAGE = Path(__file__).resolve().parent.parent / "effects.md"
@@ -25,18 +28,57 @@ result they stand under `indistinguishable_from`.
 Where the simulated board can carry an effect, the keys of its table in a [plant file](plants.md) are given too.
 """
 
+LIMITS = """
+## How small an effect shows
+
+The smallest size of each effect at which a figure of some log would have passed what counts alone leave there. Measured
+with the suite of `fiohost close-loop` on the `{plant}` plant:
+
+- {experiments}: {seconds:.0f} s in all, counts of half a degree;
+- the model is what the plant is, `{model}`, and leaves {floor:.3f} deg in
+  one-second windows; those two effects are measured on the same plant without them;
+- phases are the worst of three, other shapes the middle one.
+
+These are limits of the counts and the experiments: a motor that does not repeat itself as well shows less.
+`fiohost effects --limits LOG...` says how small an effect would show in logs of your own. The figures are written by
+`python benchmarks/limits.py` and kept in `configs/limits/default_suite.toml`.
+
+| effect | parameter | smallest seen | given | shows first in |
+|---|---|---|---|---|
+"""
+
 TAIL = """
 ## Adding one
 
 One file in `fiohost/motor/effects/` with the equation, parameters, bounds, the sign that physics allows, what it is
 equivalent to and where it comes from; one file in `firmware_model/effects/`, written apart from it, so that a fault in
-one is visible to the other; one test. Then write this page anew.
+one is visible to the other; one test. Then run `benchmarks/limits.py` and write this page anew.
 """
 
 
 def page() -> str:
     """The whole page as text."""
-    return HEAD + "".join(section(item) for item in effects().values()) + TAIL
+    return HEAD + "".join(section(item) for item in effects().values()) + limits() + TAIL
+
+
+def limits() -> str:
+    """How small each effect may be and still show, as a table."""
+    measured = shipped()
+    lines = []
+    for limit in measured.limits:
+        told = limit.to_json()
+        seen = "–" if limit.value is None else size_words(told)
+        given = limit.reason if limit.value is None else given_words(told)
+        shows = f"{limit.log.removesuffix('.csv')}, {limit.figure}" if limit.log else ""
+        lines.append(f"| {limit.effect} | `{limit.parameter}` | {seen} | {given} | {shows} |\n")
+    head = LIMITS.format(
+        experiments=", ".join(f"{n} times {e}" if n > 1 else e for e, n in Counter(measured.experiments).items()),
+        seconds=measured.seconds,
+        plant=measured.plant,
+        floor=measured.window_floor_deg,
+        model=measured.model,
+    )
+    return head + "".join(lines)
 
 
 def section(item: Effect) -> str:

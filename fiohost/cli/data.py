@@ -12,6 +12,7 @@ from fiohost.cli.output import check_writable, json_option, output_for
 
 if TYPE_CHECKING:
     from fiohost.cli.output import Output
+    from fiohost.discover.limit import Measured
     from fiohost.motor.effect import Effect, Parameter
 
 
@@ -64,42 +65,83 @@ def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> No
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("what", nargs=-1, metavar="[NAME]... | --limits LOG...")
+@click.option("--brief", is_flag=True, help="One line for each effect.")
+@click.option("--limits", is_flag=True, help="Say how small an effect would show in the LOGs that follow.")
+@click.option("--model", metavar="M", help="With --limits: the model that the logs are of.  [default: linear]")
+@click.option("--map", "table_map", metavar="MAP", help="With --limits: the logs are foreign tables; MAP reads them.")
 @json_option
-def effects(name: str | None, json_to: str | None) -> None:
-    """List the effects that a model can have, or explain the one called NAME.
+def effects(
+    what: Sequence[str], brief: bool, limits: bool, model: str | None, table_map: str | None, json_to: str | None
+) -> None:
+    """List the effects that a model can have: equation, what each does to a log, what it cannot be told from, and the
+    smallest size that shows.
 
     \b
     Examples:
       fiohost effects
       fiohost effects gravity_load
+      fiohost effects --brief
+      fiohost effects --limits run1.csv run2.csv --model linear+coulomb_friction
     """
+    from fiohost.discover.limit import shipped
     from fiohost.motor.effect import effect
     from fiohost.motor.effect import effects as library
 
+    if limits and not what:
+        raise click.UsageError("--limits needs logs: fiohost effects --limits LOG...")
+    if not limits and (model or table_map):
+        raise click.UsageError("--model and --map go with --limits LOG...")
     say = output_for(json_to)
-    if name is None:
-        chosen = list(library().values())
-        _print_list(say, chosen)
+    chosen = [effect(name) for name in what] if what and not limits else list(library().values())
+    default, own = shipped(), None
+    if limits:
+        from fiohost.circle.detection import smallest_visible
+        from fiohost.cli.progress import progress
+
+        with progress() as doing:
+            own = smallest_visible([Path(log) for log in what], model or "linear", table_map=table_map, say=doing)
+    if brief or own:
+        _print_table(say, chosen, default, own)
     else:
-        chosen = [effect(name)]
-        _print_one(say, chosen[0])
-    say.json({"schema": "fiohost.effects/1", "effects": [_as_dict(item) for item in chosen]})
+        for item in chosen:
+            _print_one(say, item, default)
+    of = "the suite of close-loop" if own is None else "the logs given, and the suite of close-loop"
+    say(f"Smallest seen: what would have shown in {of}, {default.seconds:.0f} s on the {default.plant} plant.")
+    say.json(
+        {
+            "schema": "fiohost.effects/1",
+            "effects": [_as_dict(item, default, own) for item in chosen],
+            "default_suite": _conditions(default),
+            "given_logs": _conditions(own) if own else None,
+        }
+    )
 
 
-def _print_list(say: Output, items: Sequence[Effect]) -> None:
+def _smallest(measured: Measured, item: Effect) -> list[str]:
+    """The limits of an effect in words, one for each of its kinds."""
+    from fiohost.report.outlook import limit_words
+
+    return [limit_words(limit.to_json()) for limit in measured.of(item.name)]
+
+
+def _print_table(say: Output, items: Sequence[Effect], default: Measured, own: Measured | None) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for heading in ("effect", "what it is", "parameters"):
+    shown = [("smallest seen (default suite)", default)]
+    if own:
+        shown.insert(0, ("smallest seen (these logs)", own))
+    for heading in ("effect", *([] if own else ["what it is"]), *(name for name, _ in shown)):
         table.add_column(heading, overflow="fold")
     for item in items:
-        table.add_row(item.name, item.summary, ", ".join(p.name for p in item.parameters))
+        sizes = ("\n".join(_smallest(measured, item)) for _, measured in shown)
+        table.add_row(item.name, *([] if own else [item.summary]), *sizes)
     say.console.print(table)
-    say("\nfiohost effects NAME shows the equation, units, bounds, and what the effect cannot be told from.")
+    say()
 
 
-def _print_one(say: Output, item: Effect) -> None:
+def _print_one(say: Output, item: Effect, default: Measured) -> None:
     say(f"{item.name}: {item.summary}")
     say(f"  equation    {item.equation}")
     for label, text in (("acts on", item.acts_on), ("signature", item.signature)):
@@ -109,7 +151,9 @@ def _print_one(say: Output, item: Effect) -> None:
         say(f"  the same as {', '.join(item.equivalents)}: no log can tell them apart")
     for parameter in item.parameters:
         say(f"  {parameter.name:<22} {_range(parameter)}")
-    say(f"  source      {item.source}")
+    for size in _smallest(default, item):
+        say(f"  smallest seen (default suite): {size}")
+    say(f"  source      {item.source}\n")
 
 
 def _range(parameter: Parameter) -> str:
@@ -119,7 +163,11 @@ def _range(parameter: Parameter) -> str:
     return f"{parameter.lower:g} to {parameter.upper:g}{unit}"
 
 
-def _as_dict(item: Effect) -> dict[str, Any]:
+def _conditions(measured: Measured) -> dict[str, object]:
+    return {k: v for k, v in measured.to_json().items() if k not in ("schema", "limits")}
+
+
+def _as_dict(item: Effect, default: Measured, own: Measured | None) -> dict[str, Any]:
     return {
         "name": item.name,
         "summary": item.summary,
@@ -134,4 +182,8 @@ def _as_dict(item: Effect) -> dict[str, Any]:
             else {"name": p.name, "unit": p.unit, "lower": p.lower, "upper": p.upper, "start": p.start}
             for p in item.parameters
         ],
+        "detection_limits": {
+            "default_suite": [limit.to_json() for limit in default.of(item.name)],
+            "given_logs": [limit.to_json() for limit in own.of(item.name)] if own else None,
+        },
     }

@@ -8,10 +8,10 @@ holds it against: from there on the data would not have been called complete.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from fiohost.discover.limit import Limit
 from fiohost.discover.metrics import WIDE, Judgement
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.stage import Stage
@@ -33,37 +33,6 @@ FACTORS = (1e-4, 1e4)
 HALVINGS = 14
 IMITATED = 1e-3
 MOST_SHAPES = 3
-
-
-@dataclass(frozen=True)
-class Limit:
-    """The smallest visible size of one effect: ``value`` of ``parameter``, None with a ``reason`` where there is none.
-
-    ``neutral`` is where the effect vanishes (None where it has no size but is there or not), ``at`` the effect's other
-    parameters, ``log`` and ``figure`` what shows it first.
-    """
-
-    effect: str
-    parameter: str
-    unit: str
-    value: float | None
-    neutral: float | None
-    at: Trial = field(default_factory=dict)
-    log: str = ""
-    figure: str = ""
-    reason: str | None = None
-
-    def to_json(self) -> dict[str, object]:
-        return {
-            "effect": self.effect,
-            "parameter": self.parameter,
-            "unit": self.unit,
-            "smallest_visible": self.value,
-            "neutral": self.neutral,
-            "at": dict(self.at),
-            "shows_in": {"log": self.log, "figure": self.figure} if self.log else None,
-            "reason": self.reason,
-        }
 
 
 class _Log:

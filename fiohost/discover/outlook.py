@@ -11,7 +11,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost.discover.empirical import Empirical, empirical_term
-from fiohost.discover.limits import Limit, detection_limits
+from fiohost.discover.limit import Limit
+from fiohost.discover.limits import detection_limits
 from fiohost.discover.next_experiment import NextExperiment, Offer, propose
 from fiohost.discover.round import Progress
 

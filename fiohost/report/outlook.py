@@ -19,6 +19,8 @@ PARITY = {
     "odd": "turning round with the direction, as of friction",
     "mixed": "neither the same nor opposite in the two directions",
 }
+# A size so far from where an effect vanishes is told as it is, a nearer one as how far it lies from there.
+FAR = 0.2
 KIND = {"torque": "a missing torque", "measurement": "an error of measurement"}
 
 
@@ -49,19 +51,32 @@ def limit_rows(diagnosis: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Rows of the detection limits: effect with its other parameters, parameter, the smallest size that shows."""
     rows = []
     for limit in diagnosis.get("detection_limits") or []:
-        at = limit.get("at") or {}
-        given = ", ".join(f"{k} {v if isinstance(v, str) else number(v, 3)}" for k, v in at.items())
-        name = effect_words(str(limit.get("effect"))) + (f" ({given})".replace("_", " ") if given else "")
-        rows.append((name, str(limit.get("parameter")), _size(limit)))
+        given = given_words(limit)
+        name = effect_words(str(limit.get("effect"))) + (f" ({given})" if given else "")
+        rows.append((name, str(limit.get("parameter")), size_words(limit)))
     return rows
 
 
-def _size(limit: Mapping[str, Any]) -> str:
-    """``beyond 1 by 0.003``, ``0.4 %``, or why there is no size."""
+def given_words(limit: Mapping[str, Any]) -> str:
+    """The other parameters of an effect with a limit."""
+    at = limit.get("at") or {}
+    return ", ".join(f"{k} {v if isinstance(v, str) else f'{v:.3g}'}" for k, v in at.items()).replace("_", " ")
+
+
+def limit_words(limit: Mapping[str, Any]) -> str:
+    """A limit without its effect: ``gap_deg 0.04 deg (side encoder after gap)``, or why there is none."""
+    if limit.get("smallest_visible") is None:
+        return str(limit.get("reason"))
+    given = given_words(limit)
+    return f"{limit.get('parameter')} {size_words(limit)}" + (f" ({given})" if given else "")
+
+
+def size_words(limit: Mapping[str, Any]) -> str:
+    """``0.003 above 1.00``, ``0.4 %``, or why there is no size."""
     value, neutral, unit = limit.get("smallest_visible"), limit.get("neutral"), str(limit.get("unit") or "")
     if value is None:
         return f"no size: {limit.get('reason')}"
-    if not neutral:
+    if not neutral or abs(value - neutral) > FAR * abs(neutral):
         return with_unit(abs(value) if neutral == 0.0 else value, unit, 2)
     side = "above" if value > neutral else "below"
     return f"{with_unit(abs(value - neutral), unit, 2)} {side} {number(neutral, 3)}"
