@@ -182,7 +182,7 @@ class Screen:
             found = [self._single(effect, t, one_sided) for t in trials]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         starts: list[Trial] = []
-        for i in _varied(effect, trials, order)[:BEST_TRIALS]:
+        for i in varied(effect, trials, order)[:BEST_TRIALS]:
             starts.append(found[i].trial)
             if not effect.linear_pairs and found[i].trial != trials[i]:
                 starts.append(trials[i])
@@ -201,7 +201,7 @@ def powers(along: np.ndarray, weights: Sequence[float] | np.ndarray) -> np.ndarr
     return np.asarray((groups @ np.asarray(weights)) ** 2)
 
 
-def _varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
+def varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
     """The order of trials with the best of each choice first: no choice is lost because another scores higher."""
     if effect.linear_pairs:
         return list(order)
