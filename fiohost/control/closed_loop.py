@@ -8,6 +8,7 @@ then deadband compensation, then the limit. A loop in continuous time is one wit
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from math import floor, isfinite
 from typing import NamedTuple
 
@@ -31,8 +32,8 @@ class Loop:
 
     ``u = kp e + ki integral(e) + kd s/(1 + filter s) e``, the integral and the derivative by backward difference. With
     ``derivative_on_angle`` a step of the reference gives no kick. With ``holds_integral`` the integral gives back what
-    the limit cut off, so that it does not wind up. ``delay_s`` passes from a reading until its command acts;
-    ``quantum_deg`` is the encoder's count, 0 for an ideal one.
+    the limit cut off, within ``tracking_s``, so that it does not wind up. ``delay_s`` passes from a reading until its
+    command acts; ``quantum_deg`` is the encoder's count, 0 for an ideal one.
     """
 
     kp_pct_per_deg: float
@@ -48,6 +49,7 @@ class Loop:
     sample_time_s: float = 0.005
     delay_s: float = 0.0
     quantum_deg: float = 0.0
+    tracking_s: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -57,12 +59,13 @@ class Loop:
             raise ConfigError(f"sample_time_s = {self.sample_time_s:g} of a loop is not above 0")
         if not 0.0 < self.limit_pct <= 100.0:
             raise ConfigError(f"limit_pct = {self.limit_pct:g} of a loop is not above 0 and at most 100")
-        for name in ("filter_s", "threshold_pct", "u_plus_pct", "delay_s", "quantum_deg"):
+        for name in ("filter_s", "threshold_pct", "u_plus_pct", "delay_s", "quantum_deg", "tracking_s"):
             if getattr(self, name) < 0.0:
                 raise ConfigError(f"{name} = {getattr(self, name):g} of a loop is below 0")
         if self.u_minus_pct > 0.0:
             raise ConfigError(f"u_minus_pct = {self.u_minus_pct:g} of a loop is above 0")
 
+    @cached_property
     def packed(self) -> np.ndarray:
         """The settings in the order of the kernel."""
         return np.array([float(getattr(self, item.name)) for item in fields(self)])
@@ -103,6 +106,7 @@ def _run(times, act_times, refs, loop, clock, state, substep, p, on, seen, dutie
     """
     kp, ki, kd, filter_s, on_angle, holds = loop[0], loop[1], loop[2], loop[3], loop[4] != 0.0, loop[5] != 0.0
     limit, u_plus, u_minus, threshold, tick, count = loop[6], loop[7], loop[8], loop[9], loop[10], loop[12]
+    returned = tick / max(loop[13], tick)
     keep, new = filter_s / (filter_s + tick), 1.0 / (filter_s + tick)
     integral, slope, before = 0.0, 0.0, 0.0
     n = times.shape[0]
@@ -126,7 +130,7 @@ def _run(times, act_times, refs, loop, clock, state, substep, p, on, seen, dutie
             sent += u_minus
         held = min(max(sent, -limit), limit)
         if holds and ki != 0.0:
-            integral += held - sent
+            integral += returned * (held - sent)
         angles[k] = angle
         duties[k + 1] = held
         if k + 1 < n:
@@ -147,7 +151,7 @@ def run_loop(plant: Plant, loop: Loop, ref_deg: np.ndarray, start: Start = REST,
     state[:STATE_SIZE] = start_state(start, plant.p, plant.on)
     duties, angles = np.zeros(n + 1), np.empty(n)
     _run(
-        times, times + loop.delay_s, refs, loop.packed(), clock_s, state, plant.substep_s, plant.p, plant.on,
+        times, times + loop.delay_s, refs, loop.packed, clock_s, state, plant.substep_s, plant.p, plant.on,
         plant.seen, duties, np.full(n + 1, DRIVE, dtype=np.int64), np.empty((2, STATE_SIZE)), angles,
     )  # fmt: skip
     return LoopRun(times, refs, angles, duties[1:])

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.errors import DataError
+from fiohost.motor.compiled import compiled, inlined
 
 TAIL = 0.1  # share of the run whose mean is the final value
 STANDS_STILL = 1e-6  # a change of this share of what was asked for is none
@@ -44,42 +45,61 @@ def step_figures(time_s: np.ndarray, y: np.ndarray, start: float, target: float)
         raise DataError("a step response needs two samples or more, each with its time")
     if not (np.isfinite(y).all() and np.isfinite(time_s).all()):
         raise DataError("a step response holds values that are not finite numbers")
-    last = float(time_s[-1])
-    final = float(y[-max(1, round(TAIL * len(y))) :].mean())
-    change = final - start
-    if abs(change) <= STANDS_STILL * max(abs(target - start), 1e-300):
-        return StepFigures(0.0, last, last, last, last, final, target - final)
-    way = (y - start) / change
-    peak = int(np.argmax(way))
-    return StepFigures(
-        overshoot_pct=float(np.clip(100.0 * (way[peak] - 1.0), 0.0, MOST_OVERSHOOT_PCT)),
-        rise_s=_first(time_s, way, 0.9) - _first(time_s, way, 0.1),
-        peak_s=float(time_s[peak]),
-        settling_2_s=_settled(time_s, way, 0.02),
-        settling_5_s=_settled(time_s, way, 0.05),
-        final=final,
-        steady_state_error=target - final,
+    found = np.empty(6)
+    _figures(
+        np.ascontiguousarray(time_s, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64), start, target, found
     )
+    overshoot, rise, peak, settling_2, settling_5, final = (float(value) for value in found)
+    return StepFigures(overshoot, rise, peak, settling_2, settling_5, final, target - final)
 
 
-def _first(time_s: np.ndarray, way: np.ndarray, level: float) -> float:
-    """When the way first reaches a level; the end of the run where it does not."""
-    k = int(np.argmax(way >= level))
-    if way[k] < level:
-        return float(time_s[-1])
-    if k == 0:
-        return float(time_s[0])
-    return float(np.interp(level, way[k - 1 : k + 1], time_s[k - 1 : k + 1]))
+@inlined
+def _first(time_s, y, start, change, level):  # type: ignore[no-untyped-def]
+    """When the response first reaches a level of its change; the end of the run where it does not."""
+    for k in range(y.shape[0]):
+        way = (y[k] - start) / change
+        if way >= level:
+            if k == 0:
+                return time_s[0]
+            before = (y[k - 1] - start) / change
+            return time_s[k - 1] + (level - before) / (way - before) * (time_s[k] - time_s[k - 1])
+    return time_s[-1]
 
 
-def _settled(time_s: np.ndarray, way: np.ndarray, band: float) -> float:
-    """When the way comes into the band about 1 for good; the end of the run where it does not."""
-    outside = np.flatnonzero(np.abs(way - 1.0) > band)
-    if not outside.size:
-        return float(time_s[0])
-    k = int(outside[-1])
-    if k + 1 == len(way):
-        return float(time_s[-1])
-    edge = 1.0 + band if way[k] > 1.0 else 1.0 - band
-    share = (edge - way[k]) / (way[k + 1] - way[k])
-    return float(time_s[k] + min(max(share, 0.0), 1.0) * (time_s[k + 1] - time_s[k]))
+@inlined
+def _settled(time_s, y, start, change, band):  # type: ignore[no-untyped-def]
+    """When the response comes into the band about its final value for good; the end of the run where it does not."""
+    n = y.shape[0]
+    for k in range(n - 1, -1, -1):
+        way = (y[k] - start) / change
+        if abs(way - 1.0) > band:
+            if k == n - 1:
+                return time_s[n - 1]
+            edge = 1.0 + band if way > 1.0 else 1.0 - band
+            share = (edge - way) / ((y[k + 1] - start) / change - way)
+            return time_s[k] + min(max(share, 0.0), 1.0) * (time_s[k + 1] - time_s[k])
+    return time_s[0]
+
+
+@compiled
+def _figures(time_s, y, start, target, found):  # type: ignore[no-untyped-def]
+    """Overshoot, rise, peak time, settling to 2 and 5 %, final value."""
+    n = y.shape[0]
+    tail = max(1, round(TAIL * n))
+    final = 0.0
+    for k in range(n - tail, n):
+        final += y[k] / tail
+    change = final - start
+    last = time_s[n - 1]
+    found[0], found[1], found[2], found[3], found[4], found[5] = 0.0, last, last, last, last, final
+    if abs(change) <= STANDS_STILL * abs(target - start):
+        return
+    peak = 0
+    for k in range(n):
+        if (y[k] - y[peak]) * change > 0.0:
+            peak = k
+    found[0] = min(max(100.0 * ((y[peak] - start) / change - 1.0), 0.0), MOST_OVERSHOOT_PCT)
+    found[1] = _first(time_s, y, start, change, 0.9) - _first(time_s, y, start, change, 0.1)
+    found[2] = time_s[peak]
+    found[3] = _settled(time_s, y, start, change, 0.02)
+    found[4] = _settled(time_s, y, start, change, 0.05)

@@ -1,0 +1,313 @@
+"""Least squares of a model to tables, in floors; the result is a ``Fit`` like that of logs, one residual a row.
+
+So intervals, replicas and objections are those of the log search. What a log has in its initial states a table has in
+the constants of its bench: they are fitted alongside and their part is taken out of the derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from fiohost.control.closed_loop import Plant
+from fiohost.discover.tables.evidence import Constant, Figure, Row, Table
+from fiohost.identify.fit import Fit, project
+from fiohost.motor.effect import Value
+from fiohost.motor.model import Model, slot
+
+# Figures jump where a response enters another band, so differences are taken wider than for the samples of a log.
+WIDER, CONSTANT_STEP = 100.0, 1e-4
+# Evaluations of a fit: of a candidate's trial, to the end, from a neighbour.
+ROUGH, FULL, AGAIN = 5, 40, 6
+# A simplex takes so many looks, and begins so many times as wide as the error is worth, at most this share of a value.
+LOOKS, REACH, MOST_REACH = 120, 0.5, 0.2
+FAR_OFF = 1e9  # floors, in place of what is not finite
+SEEN = 1e-6
+START_GAINS = np.geomspace(0.5, 500.0, 13)
+START_LAGS_S = (0.02, 0.05, 0.1, 0.2, 0.5)
+STARTS = 4
+
+
+@dataclass(frozen=True)
+class TableFit(Fit):
+    """A model fitted to tables: residuals and derivatives, one array a row, in floors.
+
+    ``constants`` are the values of each table's constants, ``predicted`` the figures of each row by name.
+    """
+
+    constants: tuple[tuple[float, ...], ...] = ()
+    predicted: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which parameters (k) change the figures at all."""
+        columns = np.vstack(self.jacobians) if self.jacobians else np.empty((0, len(self.names)))
+        return np.asarray(np.linalg.norm(columns, axis=0) > SEEN)
+
+
+@dataclass(frozen=True)
+class Place:
+    """One row of all tables."""
+
+    table: int
+    index: int
+    row: Row
+
+
+class Evidence:
+    """All rows of all tables, in one order, and how far a model is from them."""
+
+    def __init__(self, tables: Sequence[Table]) -> None:
+        self.tables = tables
+        self.places = [Place(t, i, row) for t, table in enumerate(tables) for i, row in enumerate(table.rows)]
+        self.fitted = [(t, i) for t, table in enumerate(tables) for i, c in enumerate(table.constants) if c.fitted]
+        self.samples = sum(len(place.row.measured) for place in self.places)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def figures(self, place: Place) -> list[Figure]:
+        """The figures that were measured in a row."""
+        return [f for f in self.tables[place.table].figures if f.name in place.row.measured]
+
+    def constant(self, which: tuple[int, int]) -> Constant:
+        return self.tables[which[0]].constants[which[1]]
+
+    def known(self) -> list[list[float]]:
+        return [[c.value for c in table.constants] for table in self.tables]
+
+    def label(self, place: Place) -> str:
+        """A row's name, with its table's where there are several."""
+        return place.row.label if len(self.tables) == 1 else f"{self.tables[place.table].name}: {place.row.label}"
+
+    def measured(self, place: Place) -> np.ndarray:
+        """The readings of a row, in floors."""
+        return np.array([place.row.measured[f.name] / f.floor for f in self.figures(place)])
+
+    def noise(self, rng: np.random.Generator) -> list[np.ndarray]:
+        """One draw of what rounding and scatter add to every row, in floors."""
+        return [np.array([f.noise_floors(rng) for f in self.figures(p)]) for p in self.places]
+
+    def predict(self, place: Place, plant: Plant, constants: Sequence[Sequence[float]]) -> Mapping[str, float]:
+        return self.tables[place.table].predict(plant, place.index, constants[place.table])
+
+    def in_floors(self, place: Place, predicted: Mapping[str, float]) -> np.ndarray:
+        values = np.array([predicted[f.name] / f.floor for f in self.figures(place)])
+        return np.asarray(np.nan_to_num(values, nan=FAR_OFF, posinf=FAR_OFF, neginf=-FAR_OFF))
+
+
+def squares(left: np.ndarray) -> float:
+    return float(left @ left)
+
+
+class _Problem:
+    """Predictions (in floors) of some rows by a vector of the model's free parameters and the fitted constants."""
+
+    def __init__(self, evidence: Evidence, model: Model, rows: Sequence[int]) -> None:
+        self.evidence, self.model = evidence, model
+        self.places = [evidence.places[i] for i in rows]
+        self.names = tuple(model.free())
+        self.slots = np.array([slot(n) for n in self.names], dtype=np.int64)
+        self.plant = Plant.of(model)
+        parameters = [model.parameter(n) for n in self.names]
+        constants = [evidence.constant(which) for which in evidence.fitted]
+        self.lower = np.array([*(q.lower for q in parameters), *(c.lower for c in constants)])
+        self.upper = np.array([*(q.upper for q in parameters), *(c.upper for c in constants)])
+        self.steps = np.array([*(q.step for q in parameters), *(CONSTANT_STEP for _ in constants)])
+        relative = [q.relative_step for q in parameters]
+        self.relative = np.array([*relative, *(c.upper > 1.0 for c in constants)], dtype=np.bool_)
+        self.steps[: len(parameters)][np.array(relative, dtype=np.bool_)] *= WIDER
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+
+    def split(self, x: np.ndarray) -> tuple[Plant, list[list[float]]]:
+        """The motor and the constants of a vector."""
+        p = self.plant.p.copy()
+        p[self.slots] = x[: len(self.slots)]
+        constants = self.evidence.known()
+        for (table, i), value in zip(self.evidence.fitted, x[len(self.slots) :], strict=True):
+            constants[table][i] = float(value)
+        return self.plant.at(p), constants
+
+    def rows(self, x: np.ndarray) -> list[np.ndarray]:
+        plant, constants = self.split(x)
+        return [self.evidence.in_floors(p, self.evidence.predict(p, plant, constants)) for p in self.places]
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """All figures (n); those of the last vector are remembered, as its derivatives are asked for next."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            self._last = x.copy(), np.concatenate(self.rows(x))
+        return self._last[1]
+
+    def columns(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives (figures, parameters), one difference each, turned inward at a bound."""
+        base = self.values(x)
+        out = np.empty((len(base), len(x)))
+        for j in range(len(x)):
+            step = self.steps[j] * (max(abs(x[j]), 1e-9) if self.relative[j] else 1.0)
+            if x[j] + step > self.upper[j]:
+                step = -step
+            moved = x.copy()
+            moved[j] += step
+            out[:, j] = (np.concatenate(self.rows(moved)) - base) / step
+        return out
+
+    def solve(self, x: np.ndarray, measured: np.ndarray, evaluations: int, jumps: float = 0.0) -> np.ndarray:
+        """The vector of least squares from a start, within bounds; errors beyond ``jumps`` floors weigh little where
+        that is given (Cauchy's cost).
+        """
+        if not len(x):
+            return x
+
+        def left(v: np.ndarray) -> np.ndarray:
+            return np.asarray(self.values(v) - measured)
+
+        found = least_squares(
+            left,
+            np.clip(x, self.lower, self.upper),
+            jac=self.columns,
+            bounds=(self.lower, self.upper),
+            x_scale="jac",
+            loss="cauchy" if jumps else "linear",
+            f_scale=jumps or 1.0,
+            ftol=1e-5,
+            xtol=1e-6,
+            gtol=1e-10,
+            max_nfev=evaluations,
+        )
+        solved = np.asarray(found.x)
+        # An interior method stops just inside a bound.
+        near = 1e-6 * np.maximum(np.abs(x), 1e-3)
+        solved = np.where(solved - self.lower <= near, self.lower, solved)
+        return np.where(self.upper - solved <= near, self.upper, solved)
+
+    def settle(self, x: np.ndarray, measured: np.ndarray, looks: int) -> np.ndarray:
+        """A vector walked on by a simplex (Nelder and Mead), which jumps of the figures do not stop."""
+        if not len(x):
+            return x
+        reach = np.linalg.norm(self.columns(x), axis=0)
+        size = REACH * np.sqrt(squares(self.values(x) - measured) + len(measured)) / np.maximum(reach, 1e-12)
+        size = np.minimum(size, np.maximum(MOST_REACH * np.abs(x), self.steps))
+        size = np.where(x + size > self.upper, -size, size)
+        simplex = np.vstack((x, x + np.diag(size)))
+
+        def left(v: np.ndarray) -> float:
+            return squares(self.values(v) - measured)
+
+        found = minimize(
+            left,
+            x,
+            method="Nelder-Mead",
+            bounds=list(zip(self.lower, self.upper, strict=True)),
+            options={"initial_simplex": simplex, "maxfev": looks, "fatol": 1e-3, "xatol": np.inf},
+        )
+        return np.asarray(found.x)
+
+
+def vector(evidence: Evidence, model: Model, constants: Sequence[Sequence[float]] | None = None) -> np.ndarray:
+    """The free parameters of a model and the fitted constants."""
+    given = constants if constants is not None else evidence.known()
+    return np.array([*(model.number(n) for n in model.free()), *(given[t][i] for t, i in evidence.fitted)])
+
+
+def fit_tables(
+    evidence: Evidence,
+    model: Model,
+    *,
+    constants: Sequence[Sequence[float]] | None = None,
+    noise: Sequence[np.ndarray] | None = None,
+    evaluations: int = FULL,
+    looks: int = 0,
+    jumps: float = 0.0,
+) -> TableFit:
+    """Fit a model's free parameters, from the values it has; with no evaluations, judge it as it is.
+
+    ``looks`` of a simplex are taken beyond the solution, errors beyond ``jumps`` floors weigh little. ``noise`` (one
+    array a row, in floors) fits to what the model itself predicts plus this, in place of the readings.
+    """
+    problem = _Problem(evidence, model, range(len(evidence)))
+    x = vector(evidence, model, constants)
+    measured = (
+        [evidence.measured(p) for p in evidence.places]
+        if noise is None
+        else [y + e for y, e in zip(problem.rows(x), noise, strict=True)]
+    )
+    if evaluations:
+        x = problem.solve(x, np.concatenate(measured), evaluations, jumps)
+    if looks:
+        x = problem.settle(x, np.concatenate(measured), looks)
+        x = problem.solve(x, np.concatenate(measured), AGAIN)
+    return _fit_at(problem, x, measured)
+
+
+def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray]) -> TableFit:
+    """The figures of a vector as a fit."""
+    evidence, k = problem.evidence, len(problem.slots)
+    plant, constants = problem.split(x)
+    predicted = [evidence.predict(p, plant, constants) for p in problem.places]
+    base = [evidence.in_floors(p, y) for p, y in zip(problem.places, predicted, strict=True)]
+    columns = problem.columns(x)
+    edges = np.cumsum([len(y) for y in base])[:-1]
+    residuals = tuple(m - y for m, y in zip(measured, base, strict=True))
+    names = dict(zip(problem.names, (float(v) for v in x[:k]), strict=True))
+    nuisance = columns[:, k:]
+    return TableFit(
+        model=problem.model.with_values(names),
+        names=problem.names,
+        cost=float(sum(float(r @ r) for r in residuals)),
+        residuals=residuals,
+        jacobians=tuple(np.split(project(columns[:, :k], nuisance), edges)),
+        nuisances=tuple(np.split(nuisance, edges)),
+        starts=(),
+        converged=True,
+        constants=tuple(tuple(c) for c in constants),
+        predicted=tuple(predicted),
+    )
+
+
+def fit_declared(evidence: Evidence, model: Model, *, keep_start: bool) -> TableFit:
+    """Fit a declared model from scratch: the best of a grid of gains and lags, fitted on.
+
+    ``keep_start`` also begins with the model's own values, as when it was read from a file.
+    """
+    keys = ("linear.gain_deg_s_per_pct", "linear.tau_s")
+    gains: Sequence[Value] = START_GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
+    lags: Sequence[Value] = START_LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
+    grid = [model.with_values({keys[0]: gain, keys[1]: lag}) for gain in gains for lag in lags]
+    tried = sorted(grid, key=lambda m: squares(deviations(evidence, m, evidence.known())))[:STARTS]
+    if keep_start:
+        tried.append(model)
+    rough = [fit_tables(evidence, m, evaluations=ROUGH) for m in tried]
+    best = min(rough, key=lambda f: f.cost)
+    return fit_tables(evidence, best.model, constants=best.constants, looks=LOOKS)
+
+
+def deviations(evidence: Evidence, model: Model, constants: Sequence[Sequence[float]]) -> np.ndarray:
+    """What a model as it is leaves of all figures (n), in floors."""
+    plant = Plant.of(model)
+    left = [
+        evidence.measured(p) - evidence.in_floors(p, evidence.predict(p, plant, constants)) for p in evidence.places
+    ]
+    return np.concatenate(left)
+
+
+def without_row(evidence: Evidence, fitted: TableFit, row: int) -> np.ndarray:
+    """What is left of a row (in floors) by the model fitted to the others.
+
+    What only this row shows of an effect is not there without it: its size is then the one at which it vanishes.
+    """
+    rest = [i for i in range(len(evidence)) if i != row]
+    model = fitted.model
+    columns = np.vstack([fitted.jacobians[i] for i in rest]) if rest else np.empty((0, len(fitted.names)))
+    for j, name in enumerate(fitted.names):
+        neutral = model.parameter(name).neutral
+        if neutral is not None and np.linalg.norm(columns[:, j]) <= SEEN:
+            model = model.with_values({name: neutral})
+    problem = _Problem(evidence, model, rest)
+    measured = np.concatenate([evidence.measured(evidence.places[i]) for i in rest])
+    x = problem.solve(vector(evidence, model, fitted.constants), measured, AGAIN)
+    plant, constants = problem.split(x)
+    place = evidence.places[row]
+    return np.asarray(evidence.measured(place) - evidence.in_floors(place, evidence.predict(place, plant, constants)))
