@@ -15,9 +15,6 @@ from test_agreement import IDEAL, physical_model
 from fiohost.bench.experiment import ControlSettings, Experiment
 from fiohost.bench.signals import Square
 from fiohost.control.closed_loop import Loop, LoopRun, Plant, run_loop, step_run
-from fiohost.control.controllers import PD
-from fiohost.control.deadband import DeadbandCompensator
-from fiohost.control.law import ControlLaw
 from fiohost.control.metrics import step_figures
 from fiohost.errors import ConfigError, DataError
 from fiohost.motor.model import Model
@@ -122,16 +119,20 @@ def test_its_angle_is_the_free_run_on_its_own_commands(name: str) -> None:
 
 
 @pytest.mark.parametrize("on_angle", [False, True])
-def test_its_commands_are_those_of_the_benchs_law(on_angle: bool) -> None:
-    loop = Loop(
-        1.4, kd_pct_s_per_deg=0.03, filter_s=0.02, derivative_on_angle=on_angle, limit_pct=55.0, u_plus_pct=2.0,
-        u_minus_pct=-3.0, threshold_pct=0.6, delay_s=0.005, quantum_deg=0.5,
-    )  # fmt: skip
-    run = step_run(Plant.of(MODELS["stick"]), loop, -70.0, 1.0)
-    law = ControlLaw(PD(1.4, 0.03, 0.005, 0.02, on_angle), DeadbandCompensator(2.0, -3.0, 0.6), 55.0)
+@pytest.mark.parametrize("tracking_s", [0.0, 0.05])
+@pytest.mark.parametrize("kind", ["p", "pd", "pi", "pid"])
+def test_its_commands_are_those_of_the_benchs_law(kind: str, on_angle: bool, tracking_s: float) -> None:
+    control = ControlSettings(
+        kind, 1.4, 0.03, 0.02, "angle" if on_angle else "error", 55.0, 2.0, -3.0, 0.6, 4.0, tracking_s
+    )
+    run = step_run(Plant.of(MODELS["stick"]), control.loop(0.005, 0.005, 0.5), -70.0, 1.0)
+    law = control.law(0.005)
     expected = [law.step(r, a) for r, a in zip(run.ref_deg, run.angle_deg, strict=True)]
     assert run.duty_pct == pytest.approx(expected, abs=1e-9)
     assert np.all(np.mod(run.angle_deg, 0.5) == 0.0)
+    law.reset()
+    assert law.step(run.ref_deg[0], run.angle_deg[0]) == expected[0]
+    assert np.any(np.abs(run.duty_pct) == 55.0)  # the limit cut something, so that it had to be given back
 
 
 def test_it_goes_where_the_bench_goes(tmp_path: Path) -> None:
@@ -157,9 +158,13 @@ def test_an_integral_takes_away_what_a_load_leaves() -> None:
     assert left(Loop(1.0, ki_pct_per_deg_s=1.0)) == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_held_integral_does_not_wind_up() -> None:
+@pytest.mark.parametrize("tracking_s", [0.0, 0.1])
+def test_a_held_integral_does_not_wind_up(tracking_s: float) -> None:
     def overshoot(holds: bool) -> float:
-        loop = Loop(2.0, ki_pct_per_deg_s=4.0, kd_pct_s_per_deg=0.15, limit_pct=20.0, holds_integral=holds)
+        loop = Loop(
+            2.0, ki_pct_per_deg_s=4.0, kd_pct_s_per_deg=0.15, limit_pct=20.0, holds_integral=holds,
+            tracking_s=tracking_s,
+        )  # fmt: skip
         run = step_run(Plant.of(LINEAR), loop, 180.0, 8.0)
         assert np.max(np.abs(run.duty_pct)) <= 20.0
         return step_figures(run.time_s, run.angle_deg, 0.0, 180.0).overshoot_pct

@@ -14,6 +14,7 @@ from fiohost.bench.experiment import Experiment
 from fiohost.bench.imports import TableMap
 from fiohost.bench.signals import KINDS
 from fiohost.cli.main import COMMANDS, cli
+from fiohost.control.settings import ControlSettings
 from fiohost.motor.model import Model
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -75,6 +76,8 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             TableMap.load(path)
         case "fiohost.experiment/1":
             Experiment.load(path)
+        case "fiohost.controller/1":
+            ControlSettings.load(path)
         case "fiohost.model/1":
             Model.read(path)
         case "firmware_model.plant/1":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from fiohost.bench.signals import (
     Staircase,
     Steps,
 )
-from fiohost.control.controllers import PD, P
+from fiohost.control.controllers import PD, PI, P
 from fiohost.control.deadband import DeadbandCompensator
 from fiohost.control.law import ControlLaw
 from fiohost.errors import ConfigError, LimitError
@@ -148,6 +149,9 @@ CLOSED = (
         ('schema = "fiohost.experiment/2"\n' + OPEN, "schema"),
         (CLOSED.replace('"p"', '"pdd"'), "did you mean 'pd'"),
         (CLOSED.replace('"p"', '"pd"'), "'kd_pct_s_per_deg' is missing"),
+        (CLOSED.replace('"p"', '"pi"'), "'ki_pct_per_deg_s' is missing"),
+        (CLOSED + "ki_pct_per_deg_s = 1.0\n", "unknown key 'ki_pct_per_deg_s'"),
+        (CLOSED.replace('"p"', '"pi"') + "ki_pct_per_deg_s = 1.0\ntracking_s = -1.0\n", "tracking_s"),
         (CLOSED + "[deadband]\nu_minus_pct = 3.0\n", "outside -99..0"),
         (CLOSED.replace('kind = "square"', 'kind = "pulses"'), "missing"),
         (OPEN.replace('"constant"', '"steps"') + "times_s = [0.0]\nlevels_pct = [1.0]\n", "unknown key 'level_pct'"),
@@ -222,6 +226,32 @@ def test_the_law_compensates_then_limits_and_tells_the_controller_what_was_appli
     law = ControlLaw(Spy(1.0), DeadbandCompensator(3.0, -4.0), limit_pct=50.0)
     assert [law.step(r, 0.0) for r in (10.0, -10.0, 49.0, -1000.0, 0.0)] == [13.0, -14.0, 50.0, -50.0, 0.0]
     assert told == [10.0, -10.0, 47.0, -46.0, 0.0]
+
+
+@pytest.mark.parametrize("kind", ["p", "pd", "pi", "pid"])
+def test_a_controller_survives_its_own_writing_and_its_log_names_every_gain(kind: str, tmp_path: Path) -> None:
+    wanted = ControlSettings(kind, 1.5, u_plus_pct=3.0, u_minus_pct=-2.0)
+    if kind in ("pd", "pid"):
+        wanted = replace(wanted, kd_pct_s_per_deg=0.04, filter_s=0.01, derivative_on="angle")
+    if kind in ("pi", "pid"):
+        wanted = replace(wanted, ki_pct_per_deg_s=0.7, tracking_s=0.2)
+    wanted.save(tmp_path / "c.toml", "found\nby hand")
+    assert ControlSettings.load(tmp_path / "c.toml") == wanted
+    said = wanted.describe()
+    for name, value in wanted.law(0.005).controller.gains.items():
+        assert float(said[name]) == value
+
+
+def test_an_integral_gives_back_what_the_limit_cut_within_its_tracking_time() -> None:
+    law = ControlLaw(PI(1.0, 2.0, sample_time_s=0.01, tracking_s=0.05), limit_pct=10.0)
+    wanted, integral = [], 0.0
+    for _ in range(40):
+        assert law.step(20.0, 0.0) == 10.0
+        integral += 2.0 * 0.01 * 20.0
+        wanted.append(20.0 + integral)
+        integral += 0.01 / 0.05 * (10.0 - wanted[-1])
+    assert wanted[-1] == pytest.approx(10.0 + 2.0 * 0.05 * 20.0, abs=0.05)  # excess: ki tracking_s e
+    assert law.step(1.0, 0.0) == pytest.approx(1.0 + integral + 2.0 * 0.01 * 1.0)
 
 
 def test_a_law_that_computes_nan_is_refused_by_the_wire() -> None:

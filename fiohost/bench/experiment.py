@@ -16,73 +16,13 @@ from numpy.typing import NDArray
 
 from fiohost.bench.program import ClosedLoop, OpenLoop, Program
 from fiohost.bench.signals import MAX_DURATION_S, Signal, read_signal, signal_to_toml
-from fiohost.control.controllers import PD, Controller, P
-from fiohost.control.deadband import DeadbandCompensator
-from fiohost.control.law import ControlLaw
+from fiohost.control.settings import ControlSettings
 from fiohost.errors import ConfigError
 from fiohost.settings import Table, config_names, find_config, read_toml
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
 SCHEMA = "fiohost.experiment/1"
 DEFAULT_SAMPLE_TIME_S = 0.005
-
-
-@dataclass(frozen=True)
-class ControlSettings:
-    """The settings of a control law; :meth:`law` makes one for a run."""
-
-    kind: str = "p"
-    kp_pct_per_deg: float = 1.0
-    kd_pct_s_per_deg: float = 0.0
-    filter_s: float = 0.0
-    derivative_on: str = "error"
-    limit_pct: float = 100.0
-    u_plus_pct: float = 0.0
-    u_minus_pct: float = 0.0
-    threshold_pct: float = 0.0
-
-    def law(self, sample_time_s: float) -> ControlLaw:
-        """A fresh control law. Raises ConfigError for values that make none."""
-        controller: Controller = P(self.kp_pct_per_deg)
-        if self.kind == "pd":
-            on_angle = self.derivative_on == "angle"
-            controller = PD(self.kp_pct_per_deg, self.kd_pct_s_per_deg, sample_time_s, self.filter_s, on_angle)
-        compensator = DeadbandCompensator(self.u_plus_pct, self.u_minus_pct, self.threshold_pct)
-        return ControlLaw(controller, compensator, self.limit_pct)
-
-    @classmethod
-    def from_tables(cls, controller: Table, deadband: Table) -> ControlSettings:
-        kind = controller.text("kind", choices=("p", "pd"))
-        kp = controller.number("kp_pct_per_deg", low=-1e4, high=1e4)
-        limit = controller.number("limit_pct", 100.0, low=0.1, high=100.0)
-        kd, filter_s, on = 0.0, 0.0, "error"
-        if kind == "pd":
-            kd = controller.number("kd_pct_s_per_deg", low=-1e4, high=1e4)
-            filter_s = controller.number("filter_s", 0.0, low=0.0, high=100.0)
-            on = controller.text("derivative_on", "error", choices=("error", "angle"))
-        controller.finish()
-        u_plus = deadband.number("u_plus_pct", 0.0, low=0.0, high=99.0)
-        u_minus = deadband.number("u_minus_pct", 0.0, low=-99.0, high=0.0)
-        threshold = deadband.number("threshold_pct", 0.0, low=0.0, high=100.0)
-        deadband.finish()
-        return cls(kind, kp, kd, filter_s, on, limit, u_plus, u_minus, threshold)
-
-    def to_toml(self) -> list[str]:
-        lines = ["[controller]", f'kind = "{self.kind}"', f"kp_pct_per_deg = {self.kp_pct_per_deg!r}"]
-        if self.kind == "pd":
-            lines += [f"kd_pct_s_per_deg = {self.kd_pct_s_per_deg!r}", f"filter_s = {self.filter_s!r}"]
-            lines += [f'derivative_on = "{self.derivative_on}"']
-        lines += [f"limit_pct = {self.limit_pct!r}", "", "[deadband]", f"u_plus_pct = {self.u_plus_pct!r}"]
-        return [*lines, f"u_minus_pct = {self.u_minus_pct!r}", f"threshold_pct = {self.threshold_pct!r}"]
-
-    def describe(self) -> dict[str, str]:
-        """Metadata of a log, units in the keys."""
-        found = {"controller": self.kind, "kp_pct_per_deg": f"{self.kp_pct_per_deg:.12g}"}
-        if self.kind == "pd":
-            found |= {"kd_pct_s_per_deg": f"{self.kd_pct_s_per_deg:.12g}", "filter_s": f"{self.filter_s:.12g}"}
-            found |= {"derivative_on": self.derivative_on}
-        found |= {"limit_pct": f"{self.limit_pct:.12g}", "u_plus_pct": f"{self.u_plus_pct:.12g}"}
-        return {**found, "u_minus_pct": f"{self.u_minus_pct:.12g}", "threshold_pct": f"{self.threshold_pct:.12g}"}
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""Discrete position controllers: P and PD with a filtered derivative.
+"""Discrete position controllers: P, PD, PI and PID, the derivative filtered, the integral safe from winding up.
 
-All take the reference and the measured angle in degrees and return a duty in percent, one call per tick. After
-each step the loop tells the controller what was really applied (``applied``): P and PD have nothing to wind up, a
-controller with an integrator corrects itself there.
+The angle that they are given does not jump at 0 and 360 degrees. All take the reference and the measured angle in
+degrees and return a duty in percent, one call per tick. After each step the loop tells the controller what was really
+applied (``applied``): P and PD have nothing to wind up, a controller with an integral corrects itself there.
 """
 
 from __future__ import annotations
@@ -94,6 +94,62 @@ class PD:
 
     def applied(self, duty_pct: float) -> None:
         pass
+
+
+class PID(PD):
+    """PD with an integral by backward difference, ``ki tick sum(e)``.
+
+    Where the limit cuts the duty, the integral gives the excess back within about ``tracking_s`` (back-calculation;
+    Astrom and Hagglund, Advanced PID Control, section 3.5), at once for 0: it does not wind up.
+    """
+
+    def __init__(
+        self,
+        kp_pct_per_deg: float,
+        ki_pct_per_deg_s: float,
+        kd_pct_s_per_deg: float,
+        sample_time_s: float,
+        filter_s: float = 0.0,
+        on_angle: bool = False,
+        tracking_s: float = 0.0,
+    ) -> None:
+        super().__init__(kp_pct_per_deg, kd_pct_s_per_deg, sample_time_s, filter_s, on_angle)
+        self.ki = _finite("ki_pct_per_deg_s", ki_pct_per_deg_s)
+        self.tracking_s = _finite("tracking_s", tracking_s)
+        if self.tracking_s < 0.0:
+            raise ConfigError("a controller with an integral needs tracking_s of 0 or more")
+        self._returned = sample_time_s / max(self.tracking_s, sample_time_s)
+        self._integral = self._wanted = 0.0
+
+    @property
+    def gains(self) -> Mapping[str, float]:
+        return {**super().gains, "ki_pct_per_deg_s": self.ki, "tracking_s": self.tracking_s}
+
+    def reset(self) -> None:
+        super().reset()
+        self._integral = self._wanted = 0.0
+
+    def step(self, ref_deg: float, angle_deg: float) -> float:
+        self._integral += self.ki * self.sample_time_s * (ref_deg - angle_deg)
+        self._wanted = super().step(ref_deg, angle_deg) + self._integral
+        return self._wanted
+
+    def applied(self, duty_pct: float) -> None:
+        if self.ki != 0.0:
+            self._integral += self._returned * (duty_pct - self._wanted)
+
+
+class PI(PID):
+    """A PID without a derivative."""
+
+    def __init__(
+        self, kp_pct_per_deg: float, ki_pct_per_deg_s: float, sample_time_s: float, tracking_s: float = 0.0
+    ) -> None:
+        super().__init__(kp_pct_per_deg, ki_pct_per_deg_s, 0.0, sample_time_s, tracking_s=tracking_s)
+
+    @property
+    def gains(self) -> Mapping[str, float]:
+        return {"kp_pct_per_deg": self.kp, "ki_pct_per_deg_s": self.ki, "tracking_s": self.tracking_s}
 
 
 def _finite(name: str, value: float) -> float:
