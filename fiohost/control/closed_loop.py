@@ -8,6 +8,7 @@ then deadband compensation, then the limit. A loop in continuous time is one wit
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from math import floor, isfinite
 from typing import NamedTuple
 
@@ -64,6 +65,7 @@ class Loop:
         if self.u_minus_pct > 0.0:
             raise ConfigError(f"u_minus_pct = {self.u_minus_pct:g} of a loop is above 0")
 
+    @cached_property
     def packed(self) -> np.ndarray:
         """The settings in the order of the kernel."""
         return np.array([float(getattr(self, item.name)) for item in fields(self)])
@@ -149,7 +151,7 @@ def run_loop(plant: Plant, loop: Loop, ref_deg: np.ndarray, start: Start = REST,
     state[:STATE_SIZE] = start_state(start, plant.p, plant.on)
     duties, angles = np.zeros(n + 1), np.empty(n)
     _run(
-        times, times + loop.delay_s, refs, loop.packed(), clock_s, state, plant.substep_s, plant.p, plant.on,
+        times, times + loop.delay_s, refs, loop.packed, clock_s, state, plant.substep_s, plant.p, plant.on,
         plant.seen, duties, np.full(n + 1, DRIVE, dtype=np.int64), np.empty((2, STATE_SIZE)), angles,
     )  # fmt: skip
     return LoopRun(times, refs, angles, duties[1:])
