@@ -41,8 +41,8 @@ END_SLACK_COUNTS = 3.0
 LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
 # A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
 ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
-# Steps from the best of them, in degrees of the phase: difference, longest step, the step that is none, how many.
-ZERO_STEP, ZERO_REACH, ZERO_CLOSE, ZERO_STEPS = 0.1, 30.0, 0.02, 4
+# Around the best of them, in degrees of the phase: how far, from near, how close, and the most looks there.
+ZERO_REACH, ZERO_NEAR, ZERO_CLOSE, ZERO_MORE = 45.0, 10.0, 0.2, 16
 
 
 @cache
@@ -231,46 +231,34 @@ def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: flo
     """Where on the bench's turn a record's zero is, in degrees, from windows whose angle and speed are free.
 
     Looked for all around what repeats with the turn; with ``near`` only there, and where other orders than one of the
-    model's would leave that one as it is. Then followed downhill (Gauss-Newton).
+    model's would leave that one as it is. Then along the line: where the shaft sticks, slopes say little.
     """
     data = record.y if y is None else y
     windows = _look_windows(record, data)
     if not windows:
         return near or 0.0
     orders = flat.orders()
-    once = gcd(*orders)
+    once, fastest = gcd(*orders), max(orders)
 
-    def left(zero: float) -> np.ndarray:
+    def cost(zero: float) -> float:
         seen = flat.from_zero(zero)
-        parts = []
+        total = 0.0
         for a, b, speed in windows:
             base = start_state(Start(float(data[a]), speed), seen.p, seen.on)[None, :]
             residuals, _, _ = _fit(record, seen, data, np.array([a, b], dtype=np.int64), base, True)
-            parts.append(residuals[a:])
-        return np.concatenate(parts)
+            total += float(residuals @ residuals)
+        return total
 
     if near is None:
-        looks = ZERO_LOOKS * (max(orders) // once)
+        looks = ZERO_LOOKS * (fastest // once)
         zeros = [360.0 / once * i / looks for i in range(looks)]
     else:
         zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
-    tried = [left(zero) for zero in zeros]
-    best = min(range(len(tried)), key=lambda i: float(tried[i] @ tried[i]))
-    zero, residual = zeros[best], tried[best]
-    for _ in range(ZERO_STEPS):
-        step = ZERO_STEP / max(orders)
-        column = (residual - left(zero + step)) / step
-        power = float(column @ column)
-        if power <= 0.0:
-            break
-        reach = ZERO_REACH / max(orders)
-        move = float(np.clip(float(column @ residual) / power, -reach, reach))
-        moved = left(zero + move)
-        if not float(moved @ moved) < float(residual @ residual):
-            break
-        zero, residual = zero + move, moved
-        if abs(move) < ZERO_CLOSE / max(orders):
-            break
+    best = min(zeros, key=cost) if len(zeros) > 1 else zeros[0]
+    reach = (ZERO_REACH if near is None else ZERO_NEAR) / fastest
+    options = {"xatol": ZERO_CLOSE / fastest, "maxiter": ZERO_MORE}
+    found = minimize_scalar(cost, bounds=(best - reach, best + reach), method="bounded", options=options)
+    zero = float(found.x) if found.fun < cost(best) else best
     return (zero + 180.0) % 360.0 - 180.0
 
 
