@@ -25,6 +25,7 @@ from fiohost.bench.program import Hold, Program
 from fiohost.bench.statistics import TickStatistics
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.unwrap import Unwrapper
+from fiohost.bench.writer import NoLog
 from fiohost.errors import (
     ConfigError,
     FiohostError,
@@ -147,6 +148,24 @@ class Bench:
     ) -> Log:
         """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
         writer = LogWriter(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        self._record(program, writer, progress, progress_every_s)
+        return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
+
+    def live(
+        self,
+        program: Program,
+        log_path: str | Path | None = None,
+        metadata: Mapping[str, str] | None = None,
+        progress: Progress | None = None,
+        progress_every_s: float = 0.1,
+    ) -> int:
+        """As :meth:`play`, for sessions of any length: without *log_path* rows are counted, not kept. Gives rows."""
+        kind = NoLog if log_path is None else LogWriter
+        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        self._record(program, writer, progress, progress_every_s)
+        return writer.rows
+
+    def _record(self, program: Program, writer: LogWriter, progress: Progress | None, progress_every_s: float) -> None:
         ending = "complete"
         self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
         try:
@@ -167,7 +186,6 @@ class Bench:
                 exc.add_note(str(failed))
             raise
         writer.close(ending, self.statistics.describe())
-        return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
 
     def settle(self) -> None:
         """Brake until the shaft is at rest (no count for 0.1 s), at most for 5 s."""
