@@ -80,6 +80,30 @@ def read_table(path: Path, wanted: Sequence[str]) -> NumberTable:
     return NumberTable(path, columns, digest, tuple(dropped))
 
 
+def read_cells(path: Path, most_rows: int) -> tuple[list[dict[str, str]], str]:
+    """A small table as it stands: one mapping a row from column name to text, and the file's SHA-256. Raises LogError.
+
+    For tables that people write, where a cell may be text or empty; a row that is cut short is refused.
+    """
+    text, digest = _read_text(path)
+    lines = list(_data_lines(text, path))
+    if len(lines) < 2:
+        raise LogError(f"{path}: a table needs a header row with column names and at least one row below it")
+    if len(lines) > most_rows + 1:
+        raise LogError(f"{path} has more than {most_rows} rows, too many for a table of readings")
+    delimiter, header = _header(lines[0][1], (), path)
+    twice = next((name for name in header if header.count(name) > 1), None)
+    if twice is not None:
+        raise LogError(f"{path} has {header.count(twice)} columns named {twice[:60]!r}: rename all but one")
+    rows = []
+    for number, line in lines[1:]:
+        cells = _split(line, delimiter, path, number)
+        if len(cells) != len(header):
+            raise LogError(f"{path} line {number}: {len(cells)} cells under {len(header)} column names")
+        rows.append(dict(zip(header, cells, strict=True)))
+    return rows, digest
+
+
 def _read_text(path: Path) -> tuple[str, str]:
     try:
         if path.is_dir():

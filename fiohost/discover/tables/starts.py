@@ -1,12 +1,13 @@
 """Where to begin the fit of a candidate: figures of responses jump, so what lies downhill of one start says little.
 
-Points are spread around the trials of the effect and the gain and lag of the base model, judged by a cost that cares
-little for single figures far off (Cauchy's), and the best of them followed downhill under the same cost.
+Sizes of the effect are tried around its trials, each with the rest of the model fitted to it; what stood in for the
+effect is off without it. From the best of these everything is fitted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,24 +16,15 @@ from fiohost.discover.tables.fit import Evidence, TableFit, deviations, fit_tabl
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
-POINTS, BEST, EVALUATIONS = 120, 4, 8
-# Logarithms of how far from its value a number may be; what stood in for the effect is off without it.
-SPREAD = {"linear.gain_deg_s_per_pct": 0.3, "linear.tau_s": 0.4}
-SPREAD_OF_TRIAL, CLOSE = 0.5, 0.2
-JUMP_FLOORS = 5.0
+POINTS, BEST = 24, 3
+HELD, FREE = 4, 8  # evaluations of a fit with the effect's sizes held, and of all
+SPREAD = 0.5  # logarithm of how far from a trial a size may be
+JUMP_FLOORS = 10.0
 TRACE_FLOORS = 1e-3
 
 
-def cauchy(left: np.ndarray) -> float:
-    """A cost (floors squared) in which a figure that jumped weighs little more than one that is some floors off."""
-    return float(np.sum(np.log1p((left / JUMP_FLOORS) ** 2))) * JUMP_FLOORS**2
-
-
 def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
-    """Copies of a model with the named numbers spread about their values, evenly (Roberts' R sequence).
-
-    Every other one keeps close to the gain and lag that there are.
-    """
+    """Copies of a model with the named numbers spread about their values, evenly (Roberts' R sequence)."""
     base = 2.0
     for _ in range(30):  # the only positive root of x**(d + 1) = x + 1
         base = (1.0 + base) ** (1.0 / (len(keys) + 1))
@@ -42,31 +34,49 @@ def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
         values: dict[str, Value] = {}
         for key, at in zip(keys, (0.5 + i * steps) % 1.0, strict=True):
             parameter = model.parameter(key)
-            width = SPREAD[key] * (CLOSE if i % 2 else 1.0) if key in SPREAD else SPREAD_OF_TRIAL
-            factor = np.exp((2.0 * at - 1.0) * width)
-            values[key] = float(np.clip(model.number(key) * factor, parameter.lower, parameter.upper))
+            size = model.number(key) * float(np.exp((2.0 * at - 1.0) * SPREAD))
+            values[key] = min(max(size, parameter.lower), parameter.upper)
         found.append(model.with_values(values))
     return found
 
 
+def _with_starts(item: Effect) -> list[dict[str, Value]]:
+    """Trials in which a number that shapes the effect is zero, again with the value that the library starts from."""
+    shapes = [q for q in item.parameters if q.is_smooth and q.neutral is None and q.start != 0.0]
+    zero = [(t, [q for q in shapes if t.get(q.name) == 0.0]) for t in item.trials]
+    return [{**t, **{q.name: q.start for q in found}} for t, found in zero if found]
+
+
 def begin(evidence: Evidence, base: TableFit, item: Effect) -> TableFit | None:
     """The base model with one effect added, near the best place to fit it from; None where it leaves no trace."""
-    trials = [base.model.with_effect(item.name, trial) for trial in item.trials]
-
-    def cost(model: Model) -> float:
-        return cauchy(deviations(evidence, model, base.constants))
-
+    given = [*item.trials, *_with_starts(item)]
+    trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
-    traces = [np.abs(deviations(evidence, m, base.constants) - before).max() for m in trials]
-    if max(traces) <= TRACE_FLOORS:
+    if max(np.abs(deviations(evidence, m, base.constants) - before).max() for m in trials) <= TRACE_FLOORS:
         return None
-    points: list[tuple[float, Model]] = []
-    for model in trials:
-        own = [f"{item.name}.{q.name}" for q in item.parameters if q.neutral is not None]
-        keys = [k for k in (*SPREAD, *own) if k in model.free()]
-        tried = [model, *(spread(model, keys, max(POINTS // len(trials), 1)) if keys else [])]
-        points.append(min(((cost(m), m) for m in tried), key=lambda point: point[0]))
-    order = varied(item, [dict(t) for t in item.trials], sorted(range(len(trials)), key=lambda i: points[i][0]))
-    best = [points[i][1] for i in order[:BEST]]
-    near = [fit_tables(evidence, m, constants=base.constants, evaluations=EVALUATIONS, jumps=JUMP_FLOORS) for m in best]
-    return min(near, key=lambda f: cauchy(np.concatenate(f.residuals)))
+    own = [f"{item.name}.{q.name}" for q in item.parameters]
+    sizes = [k for k in trials[0].free() if k in own]
+
+    def beside(model: Model) -> TableFit:
+        """The rest fitted to the sizes that the effect has."""
+        held = replace(model, fixed=model.fixed | set(own))
+        return fit_tables(evidence, held, constants=base.constants, evaluations=HELD)
+
+    def best_around(model: Model) -> TableFit:
+        more = spread(model, sizes, max(POINTS // len(trials), 1) - 1) if sizes else []
+        return min((beside(m) for m in (model, *more)), key=lambda f: f.cost)
+
+    points = [best_around(model) for model in trials]
+    order = varied(item, [dict(t) for t in given], sorted(range(len(trials)), key=lambda i: points[i].cost))
+    free = trials[0].fixed
+
+    def downhill(start: TableFit) -> TableFit:
+        """A start followed down, then past the jump of single figures, then down again; the best of the way."""
+        found = [replace(start, model=replace(start.model, fixed=free))]
+        for jumps in (0.0, JUMP_FLOORS, 0.0):
+            last = found[-1]
+            found.append(fit_tables(evidence, last.model, constants=last.constants, evaluations=FREE, jumps=jumps))
+        return min(found[1:], key=lambda f: f.cost)
+
+    near = [downhill(points[i]) for i in order[:BEST]]
+    return min(near, key=lambda f: f.cost)
