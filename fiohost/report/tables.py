@@ -59,7 +59,7 @@ def print_diagnosis(console: Console, diagnosis: Mapping[str, Any], verbose: boo
 def error_table(diagnosis: Mapping[str, Any]) -> Table:
     """Errors before, after each effect and at the end, beside the floor, for both roles."""
     unit = str(diagnosis.get("output_unit", ""))
-    table = _table(f"Error in {unit} rms" if unit else "Error rms")
+    table = new_table(f"Error in {unit} rms" if unit else "Error rms")
     table.add_column("model", no_wrap=True)
     roles = roles_of(diagnosis)
     for role in (ROLE_WORDS[r] for r in roles):
@@ -79,7 +79,7 @@ def error_table(diagnosis: Mapping[str, Any]) -> Table:
 
 def log_table(diagnosis: Mapping[str, Any]) -> Table:
     """One row a log: its role, error before and after, and its own floor."""
-    table = _table("Logs (whole run, rms)")
+    table = new_table("Logs (whole run, rms)")
     for name in ("log", "role"):
         table.add_column(name, no_wrap=True)
     for name in ("before", "after", "floor", "after / floor", "fit %"):
@@ -102,7 +102,7 @@ def log_table(diagnosis: Mapping[str, Any]) -> Table:
 def parameter_table(diagnosis: Mapping[str, Any]) -> Table:
     """Parameters of the final model with their 95 % intervals."""
     final = diagnosis.get("final") or diagnosis.get("declared") or {}
-    table = _table(f"Parameters of {final.get('model', 'the model')}")
+    table = new_table(f"Parameters of {final.get('model', 'the model')}")
     table.add_column("parameter", no_wrap=True)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("95 % interval", justify="right", no_wrap=True)
@@ -125,7 +125,7 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> Table:
     chosen = {str(step.get("effect")): step for step in steps}
     ranked = sorted(diagnosis["candidates"], key=lambda c: -float(c.get("score") or 0.0))
     rest = len(ranked) - CANDIDATES_SHOWN
-    table = _table("Candidates" + (f" (best {CANDIDATES_SHOWN} of {len(ranked)})" if rest > 0 else ""))
+    table = new_table("Candidates" + (f" (best {CANDIDATES_SHOWN} of {len(ranked)})" if rest > 0 else ""))
     table.add_column("effect", no_wrap=True)
     table.add_column("score", justify="right", no_wrap=True)
     table.add_column("outcome")
@@ -147,5 +147,5 @@ def _error_cells(block: Any, roles: Sequence[str]) -> list[str]:
     return [*cells, text if outside is None else f"{text} %"]
 
 
-def _table(title: str) -> Table:
+def new_table(title: str) -> Table:
     return Table(title=Text(title, style="bold"), title_justify="left", box=None, pad_edge=False, header_style="dim")
