@@ -94,6 +94,11 @@ class MotorConstants:
         return self.J_kgm2 / self.damping_Nms
 
     @property
+    def winding_s(self) -> float:
+        """Electrical time constant La / Ra."""
+        return self.L_H / self.R_ohm
+
+    @property
     def pct_per_volt(self) -> float:
         """The text's block from volts to percent."""
         return 100.0 / self.supply_V

@@ -292,6 +292,7 @@ def smooth_speed(time_s: np.ndarray, angle_deg: np.ndarray) -> np.ndarray:
     grid = np.arange(-SMOOTHING_TICKS, round((time_s[-1] - time_s[0]) / step) + 1) * step + time_s[0]
     even = np.interp(grid, time_s, angle_deg)
     found = savgol_filter(even, SMOOTHING_TICKS, 2, deriv=1, delta=step)
+    found[-(SMOOTHING_TICKS // 2) :] = found[-(SMOOTHING_TICKS // 2) - 1]  # a one-sided parabola is all noise
     return np.asarray(np.radians(np.interp(time_s, grid, found)))
 
 

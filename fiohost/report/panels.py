@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from fiohost.report.plots import GREY, LINE_CYCLE, MEASURED, STYLE
 
 STYLES: dict[str, dict[str, Any]] = {
-    "target": {"linestyle": "-", "linewidth": 1.8, "alpha": 0.9},
-    "model": {"linestyle": (0, (5, 2)), "linewidth": 1.3},
-    "ideal": {"linestyle": (0, (1, 1.5)), "linewidth": 1.3},
+    "target": {"linestyle": "-", "linewidth": 3.2, "alpha": 0.4, "zorder": 2},
+    "model": {"linestyle": (0, (5, 2)), "linewidth": 1.5, "zorder": 4},
+    "ideal": {"linestyle": (0, (1, 1.5)), "linewidth": 1.3, "zorder": 3},
     "reference": {"linestyle": "-", "linewidth": 0.9, "alpha": 0.8},
     "points": {"linestyle": "none", "marker": "o", "markersize": 5.5},
     "crosses": {"linestyle": "none", "marker": "x", "markersize": 6.5, "markeredgewidth": 1.6},
@@ -25,7 +25,7 @@ STYLES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Curve:
-    """One line: ``case`` picks the colour (-1 grey, -2 black), ``style`` one of STYLES; an empty label is in no legend."""
+    """One line: ``case`` picks the colour (-1 grey, -2 black), ``style`` one of STYLES. No label: not in the legend."""
 
     x: Any
     y: Any
