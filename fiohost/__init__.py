@@ -1,7 +1,7 @@
 """Host tool for DC-motor control benches: drive, log, identify, and name what the model lacks.
 
 The public names are loaded when first used, so that ``import fiohost`` costs nothing:
-``connect``, ``Bench``, ``Log``, ``Model``, ``diagnose``.
+``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ _WHERE = {
     "Bench": "fiohost.bench.loop",
     "Log": "fiohost.bench.log",
     "Model": "fiohost.motor.model",
+    "identify": "fiohost.identify.logs",
     "diagnose": "fiohost.circle.evidence",
 }
 

@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "manual": ("fiohost.cli.drive:manual", "Drive with one duty until Ctrl-C, showing angle and speed."),
     "deadband": ("fiohost.cli.deadband:deadband", "Find the duty at which the motor starts, in both directions."),
     "run": ("fiohost.cli.run:run", "Run a scripted open- or closed-loop experiment."),
+    "identify": ("fiohost.cli.identify:identify", "Find K, tau, zeta and omega_n from logs."),
     "diagnose": ("fiohost.cli.diagnose:diagnose", "Fit a model to logs and name what it lacks."),
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),

@@ -46,13 +46,15 @@ class Estimate:
         }
 
 
-def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance (k, k) of the free parameters, and which of them (k) the data determine at all."""
-    k = len(fit.names)
+def sandwich(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance (k, k) of fitted parameters, and which of them (k) the data determine at all, from the residuals (n)
+    of each record and the derivatives (n, k) of what was simulated.
+    """
+    k = jacobians[0].shape[1] if jacobians else 0
     hessian = np.zeros((k, k))
     spread = np.zeros((k, k))
     blocks = 0
-    for residual, columns in zip(fit.residuals, fit.jacobians, strict=True):
+    for residual, columns in zip(residuals, jacobians, strict=True):
         hessian += columns.T @ columns
         for a in range(0, len(residual), BLOCK_SAMPLES):
             g = columns[a : a + BLOCK_SAMPLES].T @ residual[a : a + BLOCK_SAMPLES]
@@ -73,6 +75,11 @@ def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         inner = spread[np.ix_(index, index)] / np.outer(scale[index], scale[index])
         cov[np.ix_(index, index)] = correction * (inverse @ inner @ inverse) / np.outer(scale[index], scale[index])
     return cov, determined
+
+
+def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """The sandwich of a fit: covariance (k, k) of its free parameters, and which of them (k) are determined."""
+    return sandwich(fit.residuals, fit.jacobians)
 
 
 def estimates(fit: Fit, replicas: Sequence[Model] = ()) -> dict[str, Estimate]:

@@ -1,0 +1,59 @@
+"""Identified loops as a picture: measured and simulated angle over two steps, and the error over the whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fiohost.errors import FiohostError
+from fiohost.identify.logs import Curve as LogCurve
+from fiohost.report.panels import Curve, Panel, plot_panels
+
+STEPS_SHOWN = 2
+
+
+def plot_identification(title: str, curves: Mapping[str, LogCurve]) -> Figure:
+    """Curves of one log by what simulated them, such as "pem: K = 10.2"; the angle as on an oscilloscope above."""
+    first = next(iter(curves.values()))
+    begin, end = _window(first)
+    shown = (first.time_s >= begin) & (first.time_s <= end)
+    above = [Curve(first.time_s[shown], first.measured_deg[shown], "measured", -2)]
+    if first.ref_deg is not None:
+        above.insert(0, Curve(first.time_s[shown], first.ref_deg[shown], "reference", -1, "reference"))
+    below = []
+    for i, (label, curve) in enumerate(curves.items()):
+        inside = (curve.time_s >= begin) & (curve.time_s <= end)
+        above.append(Curve(curve.time_s[inside], curve.simulated_deg[inside], label, i, "model"))
+        error = curve.measured_deg - curve.simulated_deg
+        said = f"{label.partition(':')[0]}: {np.sqrt(np.mean(error**2)):.2g} deg rms"
+        below.append(Curve(curve.time_s, error, said, i, "reference"))
+    return plot_panels(
+        [
+            Panel(above, "angle (deg)", x_limits=(begin, end)),
+            Panel(below, "measured - simulated\n(deg)", x_limits=(float(first.time_s[0]), float(first.time_s[-1]))),
+        ],
+        title,
+    )
+
+
+def _window(curve: LogCurve) -> tuple[float, float]:
+    """Two steps of the reference with a little before them; without a reference, all."""
+    begin, end = float(curve.time_s[0]), float(curve.time_s[-1])
+    if curve.ref_deg is None:
+        return begin, end
+    edges = curve.time_s[1:][np.diff(curve.ref_deg) != 0.0]
+    if edges.size <= STEPS_SHOWN:
+        return begin, end
+    length = float(edges[STEPS_SHOWN] - edges[0])
+    return float(edges[0]) - 0.05 * length, float(edges[STEPS_SHOWN]) - 0.02 * length
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a picture; the file's suffix is its format (png, svg, pdf). Raises FiohostError."""
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as exc:
+        raise FiohostError(f"cannot write the plot {path}: {exc}") from exc
