@@ -20,6 +20,7 @@ from fiohost.errors import FiohostError
 # name -> (module:attribute, short help). The help stands here so that `fiohost --help` imports no command.
 COMMANDS: dict[str, tuple[str, str]] = {
     "manual": ("fiohost.cli.drive:manual", "Drive with one duty until Ctrl-C, showing angle and speed."),
+    "panel": ("fiohost.cli.panel:panel", "Drive by hand with a slider, in a window or in a browser."),
     "deadband": ("fiohost.cli.deadband:deadband", "Find the duty at which the motor starts, in both directions."),
     "run": ("fiohost.cli.run:run", "Run a scripted open- or closed-loop experiment."),
     "identify": ("fiohost.cli.identify:identify", "Find K, tau, zeta and omega_n from logs."),

@@ -1,0 +1,57 @@
+"""The panel in a window, on whatever interactive backend of matplotlib there is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+
+from fiohost.errors import FiohostError
+from fiohost.panel.link import Facts, Remote
+from fiohost.panel.view import DPI, SIZE_IN, View
+
+FRAME_MS = 80
+
+
+def show(remote: Remote, facts: Facts) -> None:
+    """Open the window and stay until it is closed or the bench has ended. Raises FiohostError without a backend."""
+    matplotlib.rcParams["toolbar"] = "None"
+    import matplotlib.pyplot as plt
+
+    cause = ""
+    try:
+        figure = plt.figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
+    except Exception as exc:  # a display that refuses, a toolkit that is broken: each has an error of its own
+        cause = f" ({' '.join(str(exc).split())[:120]})"
+        figure = None
+    if figure is None or figure.canvas.required_interactive_framework is None:
+        raise FiohostError(
+            f"no window can be opened here{cause}: there is no display, or Python lacks Tk (Debian: apt install "
+            "python3-tk); fiohost panel --web shows the same panel in a browser"
+        )
+    manager: Any = figure.canvas.manager
+    figure.canvas.mpl_disconnect(manager.key_press_handler_id)  # its own keys: q, s and others mean something else
+    manager.set_window_title(f"fiohost panel: {facts.target}")
+    view = View(figure, facts, remote.act)
+    gone = False
+
+    def frame() -> None:
+        nonlocal gone
+        try:
+            news = remote.news()
+        except EOFError:
+            gone = True
+            plt.close(figure)
+            return
+        if news is not None:
+            view.show(news, answered=news.handled == remote.actions)
+            view.frame()
+
+    timer = figure.canvas.new_timer(interval=FRAME_MS)
+    timer.add_callback(frame)
+    remote.ready("in a window")
+    timer.start()
+    plt.show()
+    timer.stop()
+    if not gone:
+        remote.closed()
