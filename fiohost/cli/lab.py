@@ -17,6 +17,7 @@ from fiohost.settings import nearest
 
 # name -> (module:attribute, short help)
 LABS: dict[str, tuple[str, str]] = {
+    "elevator": ("fiohost.cli.labs.elevator:elevator", "Seven floors under gravity: P, PI, limited power, buttons."),
     "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
 }
 

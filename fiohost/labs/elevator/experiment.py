@@ -1,0 +1,135 @@
+"""The lab itself: every controller of the text on the model and on a target, then a ride by buttons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from fiohost.bench.loop import Bench, Progress
+from fiohost.labs.elevator.buttons import Press, parse_presses
+from fiohost.labs.elevator.car import MOTOR, Design, Move, Record, car_model, moves
+from fiohost.labs.elevator.ride import ByButtons, Demand, Ride, on_model, record_of, up_and_down
+from fiohost.labs.result import LabResult
+from fiohost.motor.model import Model
+
+TITLE = "Elevator (control lab appendix, section D-2)"
+DEFAULT_PRESSES = "up@1,up@3.5,up@6:0.7,up@10:0.7,up@14,down@16.5:0.7,down@20.5,down@23:0.7,down@27:0.7"
+ON = ("model", "target")
+TEXTS_CHOICE = Design(5.0, power_pct=40.0)  # section D-2-6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done; gains in V/rad and V/(rad s), powers in percent, and the volts of the target's full duty."""
+
+    gains: Sequence[float] = (2.0, 3.0, 5.0)
+    integral_gains: Sequence[float] = (0.1, 0.2, 0.3)
+    integral_with: float = 2.0
+    powers_pct: Sequence[float] = (40.0, 60.0, 80.0)
+    power_with: float = 5.0
+    ride: Design = TEXTS_CHOICE
+    presses: Sequence[Press] = parse_presses(DEFAULT_PRESSES)
+    current_limit_A: float | None = None
+    full_scale_V: float = MOTOR.supply_V
+
+    def model(self) -> Model:
+        return car_model(current_limit_A=self.current_limit_A)
+
+
+class Run(NamedTuple):
+    """One design, and what it did on the model and on the target."""
+
+    design: Design
+    model: Record
+    target: Record
+
+    def moves(self) -> Iterator[tuple[str, Move]]:
+        """Every move with where it was made, ``model`` or ``target``."""
+        for on in ON:
+            for move in moves(getattr(self, on)):
+                yield on, move
+
+
+@dataclass(frozen=True)
+class Series:
+    """One table of the text: its designs by the gain in which they differ, and their runs by the same."""
+
+    key: str
+    title: str
+    designs: Mapping[str, Design]
+    runs: dict[str, Run] = field(default_factory=dict)
+
+
+def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], None] = lambda text: None) -> LabResult:
+    """Run the plan on a bench; logs go into *folder*. Raises FiohostError."""
+    from fiohost.labs.elevator import tell
+    from fiohost.labs.elevator.search import best_design
+
+    found = best_design(plan.model(), bench.sample_time_s, 360.0 / bench.counts_per_rev)
+    series = [
+        Series("p", "P control (tables D-12, D-13)", {f"kp {kp:g}": Design(kp) for kp in plan.gains}),
+        Series(
+            "pi",
+            f"PI control, kp {plan.integral_with:g} (table D-14)",
+            {f"ki {ki:g}": Design(plan.integral_with, ki) for ki in plan.integral_gains},
+        ),
+        Series(
+            "power",
+            f"Limited power, kp {plan.power_with:g} (table D-15)",
+            {f"{power:g} %": Design(plan.power_with, power_pct=power) for power in plan.powers_pct},
+        ),
+        Series("found", f"Found on the model: {found.label}" if found else "", {"found": found} if found else {}),
+    ]
+    files = {}
+    for part in series:
+        for number, (name, design) in enumerate(part.designs.items(), start=1):
+            said(f"{part.title}: {design.label}")
+            path = folder / f"elevator_{part.key}_{number}.csv"
+            part.runs[name] = _run(bench, plan, design, up_and_down, path)
+            files[f"log of {design.label}"] = str(path)
+    said(f"ride by buttons: {plan.ride.label}, {len(plan.presses)} presses")
+    path = folder / "elevator_ride.csv"
+    ride = _run(bench, plan, plan.ride, ByButtons(plan.presses), path)
+    told = tell.ride(ride, plan.presses)
+    return LabResult(
+        name="elevator",
+        title=TITLE,
+        target=bench.transport.name,
+        tables=(*(tell.table(part) for part in series if part.runs), told.table),
+        answers=(*tell.answers(series, plan), told.answer),
+        notes=tell.notes(plan),
+        values={"criteria": tell.CRITERIA, **{part.key: tell.values(part) for part in series}, "ride": told.values},
+        figures={**{f"elevator_{s.key}": partial(tell.draw, s) for s in series if s.runs}, "elevator_ride": told.draw},
+        files={**files, "log of the ride": str(path)},
+    )
+
+
+def live(bench: Bench, plan: Plan, demand: ByButtons, folder: Path, progress: Progress) -> LabResult:
+    """Only the ride, by a demand that ends itself. Raises FiohostError."""
+    from fiohost.labs.elevator import tell
+
+    path = folder / "elevator_ride.csv"
+    told = tell.ride(_run(bench, plan, plan.ride, demand, path, progress), demand.presses)
+    return LabResult(
+        name="elevator",
+        title=f"{TITLE}: live ride",
+        target=bench.transport.name,
+        tables=(told.table,),
+        answers=(told.answer,),
+        notes=tell.notes(plan),
+        values={"criteria": tell.CRITERIA, "ride": told.values},
+        figures={"elevator_ride": told.draw},
+        files={"log of the ride": str(path)},
+    )
+
+
+def _run(bench: Bench, plan: Plan, design: Design, demand: Demand, path: Path, progress: Progress | None = None) -> Run:
+    """One demand on the target, then the same on the model, whose full duty is its own."""
+    settings = design.settings(plan.full_scale_V)
+    metadata = {"experiment": "elevator", "loop": "closed", **settings.describe()}
+    ride = Ride(settings.law(bench.sample_time_s), demand, bench.sample_time_s)
+    log = bench.play(ride, path, metadata, progress)
+    return Run(design, on_model(plan.model(), design.settings(MOTOR.supply_V), log), record_of(log))

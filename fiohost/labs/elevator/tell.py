@@ -1,0 +1,243 @@
+"""What the runs of the elevator say: tables, values, answers to the text's questions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import exp
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fiohost.labs.elevator.buttons import Press
+from fiohost.labs.elevator.car import (
+    DRUM_CM,
+    FLOORS,
+    LOAD_NM,
+    MOST_ERROR_CM,
+    MOST_OVERSHOOT_PCT,
+    MOST_SETTLING_S,
+    MOTOR,
+    Move,
+    car_model,
+    floor_of,
+    moves,
+)
+from fiohost.labs.elevator.experiment import Plan, Run, Series
+from fiohost.labs.elevator.ride import STAY_S
+from fiohost.labs.result import Answer, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = ("on", "overshoot (%)", "settling (s)", "rise (s)", "error (cm)", "meets")
+CRITERIA = {"overshoot_pct": MOST_OVERSHOOT_PCT, "error_cm": MOST_ERROR_CM, "settling_s": MOST_SETTLING_S}
+
+
+def table(part: Series) -> Table:
+    """A series as the text prints it: up first, then down; model and target one below the other."""
+    made = [(name, on, move) for name, run in part.runs.items() for on, move in run.moves()]
+    made.sort(key=lambda row: row[2].way == "down")
+    rows = [[move.way, name, on, *_cells(move)] for name, on, move in made]
+    return Table(part.title, ("way", "gain", *COLUMNS), rows)
+
+
+def values(part: Series) -> list[dict[str, Any]]:
+    return [
+        {
+            "kp_V_per_rad": run.design.kp_V_per_rad,
+            "ki_V_per_rad_s": run.design.ki_V_per_rad_s,
+            "power_pct": run.design.power_pct,
+            "move": move.way,
+            "on": on,
+            **_figures(move),
+        }
+        for run in part.runs.values()
+        for on, move in run.moves()
+    ]
+
+
+def notes(plan: Plan) -> tuple[str, ...]:
+    limit = "no current limit" if plan.current_limit_A is None else f"current limit {plan.current_limit_A:g} A"
+    return (
+        f"Model: {MOTOR.source}, load {LOAD_NM:g} N m against upward motion, full duty {MOTOR.supply_V:g} V, {limit} "
+        "(the text's simulation has one of 1 A, the plant nxt_elevator has none).",
+        "Overshoot and settling are of the response's own final value (Eq. D-30), a rise is from 10 to 90 %; a target "
+        "is read at 0.5 deg, 0.012 cm. Height is zero where the car stands when a run begins.",
+        f"Floors are numbered 1 to {FLOORS}; the text counts 0 to {FLOORS - 1}.",
+    )
+
+
+def answers(series: Sequence[Series], plan: Plan) -> list[Answer]:
+    p, pi, power, found = series
+    return [
+        Answer("Which P gains meet overshoot 5 %, error 1 mm and settling 1 s?", _meeting(p)),
+        Answer("What leaves the error, and how large is it?", _droop(p)),
+        Answer("Is the model good enough, and would more viscous friction make it better?", _model_error(p, plan)),
+        Answer("Which integral gain takes the error away?", _integral(pi)),
+        Answer("What does limiting the power do?", _power(power)),
+        Answer("Which design meets every criterion both ways?", _found(found)),
+    ]
+
+
+def _meeting(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        made = list(run.moves())
+        faults = {on: sorted({fault for where, move in made if where == on for fault in move.faults}) for on, _ in made}
+        verdicts = " and ".join(
+            f"{'meets them' if not why else 'fails by ' + ' and '.join(why)} on the {on}" for on, why in faults.items()
+        )
+        said.append(f"{run.design.label} {verdicts}")
+    return "; ".join(said) + "." if said else "None was asked for."
+
+
+def _droop(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        kp = run.design.kp_V_per_rad
+        computed = DRUM_CM * LOAD_NM * MOTOR.R_ohm / (MOTOR.Kt_Nm_per_A * kp)
+        measured = np.mean([abs(move.figures.steady_state_error) for on, move in run.moves() if on == "target"])
+        said.append(f"kp {kp:g}: {computed:.3f} cm computed, {measured:.3f} cm on the target")
+    return (
+        "The car's weight: at rest the motor must hold T = 0.017 N m, which costs T R/(Ki KP) radians of error. "
+        + "; ".join(said)
+        + ". Dry friction, which this model has not, may hold the car anywhere within a band about that."
+    )
+
+
+def _model_error(part: Series, plan: Plan) -> str:
+    from fiohost.labs.elevator.search import simulate
+
+    apart = [
+        abs(model.figures.overshoot_pct - target.figures.overshoot_pct)
+        for run in part.runs.values()
+        for (_, model), (_, target) in zip(_of(run, "model"), _of(run, "target"), strict=False)
+    ]
+    thicker = car_model(current_limit_A=plan.current_limit_A, B_Nms=2.0 * MOTOR.B_Nms)
+    changed = []
+    for run in part.runs.values():
+        record = simulate(thicker, run.design, float(np.diff(run.model.time_s).min()), 0.0)
+        before = next(move for _, move in _of(run, "model"))
+        after = next(moves(record))
+        changed.append(f"{before.figures.overshoot_pct:.1f} to {after.figures.overshoot_pct:.1f} %")
+    return (
+        f"Overshoots of model and target differ by at most {max(apart, default=0.0):.2g} points. Twice the viscous "
+        f"friction would change the model's upward overshoot at these gains from {', '.join(changed)}."
+    )
+
+
+def _integral(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        errors = {move.way: move.figures.steady_state_error for on, move in run.moves() if on == "target"}
+        share = 1.0 - exp(-STAY_S * run.design.ki_V_per_rad_s / run.design.kp_V_per_rad)
+        shown = ", ".join(f"{error:+.3f} cm {way}" for way, error in errors.items())
+        said.append(f"ki {run.design.ki_V_per_rad_s:g}: {shown} (the slow pole goes {100.0 * share:.0f} % of its way)")
+    return (
+        f"On the target, {STAY_S:g} s after each move: "
+        + "; ".join(said)
+        + ". What the integral gathers while the car is under way stays in it: upward that helps, downward it must "
+        "first be taken back. In table D-14 the smallest upward error belongs to ki 0.1, though the text names 0.3."
+    )
+
+
+def _power(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        of_target = [move.figures for on, move in run.moves() if on == "target"]
+        most, slowest = max(f.overshoot_pct for f in of_target), max(f.settling_5_s for f in of_target)
+        said.append(f"{run.design.power_pct:g} %: overshoot up to {most:.1f} %, settling up to {slowest:.2f} s")
+    return (
+        "; ".join(said)
+        + ". Less power, less overshoot, slower: the car arrives at a lower speed. The model shows it with constant "
+        "viscous friction, so friction that grows at low power, the text's reason, is not needed for it."
+    )
+
+
+def _found(part: Series) -> str:
+    if not part.runs:
+        return "None of those that were tried on the model."
+    (run,) = part.runs.values()
+    kept = all(not move.faults for on, move in run.moves() if on == "target")
+    found = f"The fastest found on the model, with a tenth to spare: {run.design.label}."
+    return f"{found} On the target it {'meets' if kept else 'does NOT meet'} them all."
+
+
+@dataclass(frozen=True)
+class ToldRide:
+    """A ride by buttons, told."""
+
+    table: Table
+    answer: Answer
+    values: dict[str, Any]
+    draw: Callable[[], Figure]
+
+
+def ride(run: Run, presses: Sequence[Press]) -> ToldRide:
+    made = sorted(run.moves(), key=lambda pair: (round(pair[1].begin_s, 1), pair[0]))
+    rows = [[round(m.begin_s, 2), f"{floor_of(m.from_cm)} to {floor_of(m.to_cm)}", on, *_cells(m)] for on, m in made]
+    asked = run.target.ref_cm[np.flatnonzero(np.diff(run.target.ref_cm, prepend=np.nan))]
+    floors = [floor_of(height) for height in asked]
+    of_target = [m for on, m in made if on == "target"]
+    short = [m for m in of_target if m.floors == 1]
+    long = [m for m in of_target if m.floors > 1]
+    text = (
+        f"{len(presses)} presses; floors {min(floors)} to {max(floors)} were asked for, none outside 1 to {FLOORS}. "
+        f"On the target {_met(short)} of one floor and {_met(long)} of more meet the criteria."
+    )
+    if any("settling" in m.faults for m in long):
+        most = max(m.figures.settling_5_s for m in long)
+        text += f" More than one floor takes up to {most:.2f} s at {run.design.power_pct:g} % power; "
+        text += "the text's second is for one floor."
+    return ToldRide(
+        Table(f"Ride by buttons, {run.design.label} (Fig. D-50)", ("at (s)", "floors", *COLUMNS), rows),
+        Answer("Does the car reach the floors that the buttons ask for, within the criteria?", text),
+        {
+            "floors_asked": floors,
+            "moves": [
+                {"begin_s": m.begin_s, "from_floor": floor_of(m.from_cm), "to_floor": floor_of(m.to_cm), "on": on}
+                | _figures(m)
+                for on, m in made
+            ],
+        },
+        partial(_draw_ride, run, tuple(presses)),
+    )
+
+
+def draw(part: Series) -> Figure:
+    from fiohost.labs.elevator.figures import plot_series
+
+    return plot_series(part)
+
+
+def _draw_ride(run: Run, presses: Sequence[Press]) -> Figure:
+    from fiohost.labs.elevator.figures import plot_ride
+
+    return plot_ride(run, presses)
+
+
+def _of(run: Run, where: str) -> list[tuple[str, Move]]:
+    return [(on, move) for on, move in run.moves() if on == where]
+
+
+def _met(made: Sequence[Move]) -> str:
+    return f"{sum(not m.faults for m in made)} of {len(made)} moves"
+
+
+def _cells(move: Move) -> list[float | str]:
+    f = move.figures
+    shown = (round(f.overshoot_pct, 1), round(f.settling_5_s, 3), round(f.rise_s, 3), round(f.steady_state_error, 3))
+    return [*shown, "no" if move.faults else "yes"]
+
+
+def _figures(move: Move) -> dict[str, float | bool]:
+    f = move.figures
+    return {
+        "overshoot_pct": f.overshoot_pct,
+        "settling_5_s": f.settling_5_s,
+        "rise_s": f.rise_s,
+        "error_cm": f.steady_state_error,
+        "meets": not move.faults,
+    }
