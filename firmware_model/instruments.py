@@ -49,3 +49,9 @@ class Instruments:
             raise FirmwareModelError(f"a disturbance torque must be finite, not {torque_Nm}")
         self._hand_Nm = torque_Nm
         self._motor.set_external_torque(self._hung_Nm + self._hand_Nm)
+
+    def limit_current(self, limit_A: float | None) -> None:
+        """Set the current limit of the bench supply; None takes it off (a limit that the plant has remains)."""
+        if limit_A is not None and not (math.isfinite(limit_A) and limit_A >= 1e-3):
+            raise FirmwareModelError(f"a current limit must be 0.001 A or more, not {limit_A}")
+        self._motor.set_current_limit(limit_A)

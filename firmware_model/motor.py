@@ -152,6 +152,8 @@ class Motor:
         m[PLAIN], m[STIFF], m[FOLDED] = is_plain(plant), is_stiff(plant, p), is_folded(plant)
         r[STRIDE] = 0.001
         self._y, self._r, self._m, self._p, self._on = y, r, m, p, on
+        self._own_limit = int(on[index_of()["current_limit"]]), float(p[offsets()["current_limit"]])
+        self._plain = bool(m[PLAIN])
         self._command = 0, 0.0  # mode and duty latched last
         self._queue = np.zeros((3, QUEUE))
         self._work = np.zeros((WORK_ROWS, max(state_count(), ROW)))
@@ -217,6 +219,13 @@ class Motor:
     def set_external_torque(self, torque_Nm: float) -> None:
         """Torque on the output shaft from outside, positive forward, from now on."""
         self._p[C.EXTERNAL] = torque_Nm
+
+    def set_current_limit(self, limit_A: float | None) -> None:
+        """A bench supply that lets no more current through, from now on; None: the plant's own limit, if it has one."""
+        on, limit = self._own_limit
+        k = index_of()["current_limit"]
+        self._on[k], self._p[offsets()["current_limit"]] = (on, limit) if limit_A is None else (1, limit_A)
+        self._m[PLAIN] = self._plain and not self._on[k]
 
     def reset_counter(self) -> None:
         """The encoder's timer starts anew, wherever the shaft is."""

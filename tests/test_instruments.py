@@ -60,6 +60,25 @@ def test_a_hand_on_the_shaft_turns_it_when_it_presses_more_than_friction() -> No
         lab.disturb(0.0)
 
 
+def test_a_supply_lets_no_more_current_through_than_it_is_set_to_and_all_of_it_again() -> None:
+    with connect("sim", seed=1) as bench:
+        lab = Instruments.of(bench)
+
+        def strongest() -> float:
+            seen: list[float] = []
+            bench.drive(100.0, 0.3, progress=lambda tick: seen.append(lab.current_A), progress_every_s=0.005)
+            return max(seen)
+
+        free = strongest()
+        lab.limit_current(0.5)
+        assert strongest() == pytest.approx(0.5, abs=1e-6)
+        lab.limit_current(None)
+        assert strongest() == pytest.approx(free, rel=0.05)
+        assert free > 1.0
+        with pytest.raises(ConfigError, match="current limit"):
+            lab.limit_current(0.0)
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_nonsense_is_refused(bad: float) -> None:
     with connect("sim") as bench:
@@ -184,4 +203,4 @@ def test_only_labs_seal_and_circle_s_end_use_the_instruments() -> None:
         for path in PACKAGE.rglob("*.py")
         if any(module.startswith("fiohost.transport.instruments") for module in imported_by(path))
     }
-    assert {user for user in users if not user.startswith("lab/")} == {"cli/bench.py", "cli/circle.py"}
+    assert {user for user in users if not user.startswith("labs/")} == {"cli/bench.py", "cli/circle.py"}

@@ -261,19 +261,25 @@ def play_target(
     *,
     log_path: Path | None = None,
     metadata: Mapping[str, str] | None = None,
-    limit_V: float | None = None,
+    limits: Limits = NO_LIMITS,
     torque: Torque | None = None,
 ) -> Run:
-    """Play a law on a target, from rest; the meters are read where there are any."""
+    """Play a law on a target, from rest; meters are read and the supply's current is limited where there is furniture.
+
+    Whatever the limits say, no target gives more than its full duty.
+    """
     lab = furniture(bench)
-    limit = 100.0 if limit_V is None else min(100.0, 100.0 * limit_V / volts_at_full_duty)
+    limit = 100.0 if limits.volts is None else min(100.0, 100.0 * limits.volts / volts_at_full_duty)
     ticks = max(round(duration_s / bench.sample_time_s), SMOOTHING_TICKS) + 1
     program = _LawProgram(law, ticks, bench.sample_time_s, limit, lab, torque)
+    if lab is not None:
+        lab.limit_current(limits.amperes)
     try:
         log = bench.play(program, log_path, metadata)
     finally:
-        if lab is not None and torque is not None:
+        if lab is not None:
             lab.disturb(0.0)
+            lab.limit_current(None)
     times, angle = log.time_s, log.output - log.output[0]
     ticks_of = np.rint(times / bench.sample_time_s).astype(np.int64)  # a lost tick has no row
     duty = np.concatenate(([0.0], log.duty_pct))[: len(log)]  # it acts a tick after the reading that it answers

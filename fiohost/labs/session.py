@@ -85,7 +85,9 @@ def volts(level: float | Callable[[np.ndarray], np.ndarray], duration_s: float) 
 
 @dataclass
 class Session:
-    """One sitting at the bench. ``limits`` are the model's saturations; a target brings its own."""
+    """One sitting at the bench. ``limits`` are those of model and target; no target gives more than full duty, and
+    only a simulated one has a supply whose current can be limited.
+    """
 
     constants: MotorConstants
     bench: Bench
@@ -111,6 +113,8 @@ class Session:
                     f"full duty is {full:g} V on the target and {known.supply_V:g} V in the constants; "
                     "the loops are the same in volts"
                 )
+            if session.limits.amperes is not None and furniture(bench) is None:
+                session.note("nothing limits the target's current: the limit of 1 A is the model's only")
             yield session
 
     @property
@@ -154,7 +158,7 @@ class Session:
         about = {"experiment": case, **(metadata or {})}
         run = play_target(
             self.bench, law(self.way, 100.0 / self.full_V), duration_s, self.full_V, log_path=path,
-            metadata=about, limit_V=self.limits.volts, torque=torque,
+            metadata=about, limits=self.limits, torque=torque,
         )  # fmt: skip
         self.logs[f"log {case}"] = str(path)
         return run

@@ -1,4 +1,4 @@
-"""The lab's furniture: what stands beside the bench and is not the wire. Meters, a hanging mass, a hand, the seal.
+"""The lab's furniture: what stands beside the bench and is not the wire. Meters, a supply, a mass, a hand, the seal.
 
 Only the labs and ``unseal`` use it; nothing that judges a log may. A real bench has such things too, but on the table:
 nobody can read them for you.
@@ -82,6 +82,18 @@ class Instruments:
 
         try:
             self._furniture.disturb(torque_Nm)
+        except FirmwareModelError as exc:
+            raise ConfigError(str(exc)) from exc
+
+    def limit_current(self, limit_A: float | None) -> None:
+        """Set the bench supply's current limit; None takes it off (a limit that the plant itself has remains).
+
+        Raises ConfigError for a limit below 0.001 A or one that is not finite.
+        """
+        from firmware_model import FirmwareModelError
+
+        try:
+            self._furniture.limit_current(limit_A)
         except FirmwareModelError as exc:
             raise ConfigError(str(exc)) from exc
 
