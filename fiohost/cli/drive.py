@@ -1,10 +1,11 @@
-"""``fiohost manual``: one duty, held until Ctrl-C or for some seconds, and what the shaft does."""
+"""``fiohost manual``: one duty, held or changed by keys, until Ctrl-C or for some seconds, and what the shaft does."""
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+import select
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -13,8 +14,10 @@ from fiohost.cli.output import Output, json_option, output_for
 from fiohost.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from fiohost.bench.log import Log
-    from fiohost.bench.loop import Tick
+    from fiohost.bench.loop import Bench, Tick
 
 SCHEMA = "fiohost.manual/1"
 LIVE_S = 0.1  # between two pictures of the live line
@@ -39,23 +42,29 @@ def manual(
     json_to: str | None,
     fast: bool,
 ) -> None:
-    """Drive with one duty until Ctrl-C or for S seconds, then brake.
+    """Drive until Ctrl-C or for S seconds, then brake; in a terminal the keys change the duty.
 
-    Shows each second the duty sent, the direction bits C3 and C4, the encoder count POS, the angle by the lab's
-    formula (POS+1)/2, the direction bit and the speed. Forward is 1 0, reverse 0 1, brake 1 1, standby 0 0.
+    Shows each second (in a terminal all the time) the duty sent, the direction bits C3 and C4, the encoder count POS,
+    the angle by the lab's formula (POS+1)/2, the direction bit and the speed. Forward is 1 0, reverse 0 1, brake 1 1,
+    standby 0 0. Keys: up and down 1 %, with shift or page up and down 10 %, space brakes, s standby, r reverses the
+    sign, h help, q quits. In a terminal --pwm may be left out: it begins braked.
 
     \b
     Example:
+      fiohost manual
       fiohost manual --pwm 40
       fiohost manual --pwm -25 --duration 5 --log reverse.csv
     """
-    if (pwm is None) != standby:
+    from fiohost.panel.keys import has_keys
+
+    out = output_for(json_to)
+    keys = not fast and has_keys(out.stream)
+    if (pwm is None) != standby and not (keys and not standby):
         raise click.UsageError("give --pwm PCT or --standby, one of them")
     duty_pct = 0.0 if pwm is None else parse_number("--pwm", pwm, -100.0, 100.0, "percent of full scale")
     duration_s = None if duration is None else parse_number("--duration", duration, 0.005, 86_400.0, "s")
     if fast and duration_s is None:
         raise ConfigError("--fast without --duration would never end: say for how many seconds")
-    out = output_for(json_to)
 
     from fiohost.bench.connect import connect
     from fiohost.bench.stop import Stopped
@@ -65,11 +74,14 @@ def manual(
         ended = "complete"
         out(f"{bench.transport.name}: {'standby' if standby else f'duty {duty_pct:g} %'}; Ctrl-C brakes and ends")
         try:
-            with view:
-                log = bench.drive(
-                    duty_pct, duration_s, log_to, standby=standby, progress=view, progress_every_s=view.every_s
-                )
-                view.last_row(log)
+            if keys:
+                _drive_by_keys(bench, view, duty_pct, duration_s, log_to, standby=standby)
+            else:
+                with view:
+                    log = bench.drive(
+                        duty_pct, duration_s, log_to, standby=standby, progress=view, progress_every_s=view.every_s
+                    )
+                    view.last_row(log)
             out("brake sent (C3 C4 = 1 1)" + (f"; log: {log_to}" if log_to else ""))
         except Stopped as exc:
             ended = str(exc)
@@ -80,6 +92,20 @@ def manual(
                 out.json(result | {"samples": view.samples, "tick_statistics": bench.statistics.as_dict()})
 
 
+def _drive_by_keys(
+    bench: Bench, view: _View, duty_pct: float, duration_s: float | None, log_to: str | None, *, standby: bool
+) -> None:
+    from fiohost.panel.keys import HELP, Keyboard, KeyProgram
+    from fiohost.wire.messages import STANDBY_COMMAND, Command
+
+    command = STANDBY_COMMAND if standby else Command.drive(duty_pct)
+    ticks = None if duration_s is None else max(1, round(duration_s / bench.sample_time_s))
+    with Keyboard() as keyboard, view:
+        program = KeyProgram(keyboard, command, bench.profile.limit_duty_pct, ticks)
+        view.help = lambda: HELP if program.shows_help else ""
+        bench.live(program, log_to, {"experiment": "manual", "loop": "open"}, view, view.every_s)
+
+
 @dataclass
 class _View(AbstractContextManager["_View"]):
     """Turns ticks into lines, one a second, or into a live line on a terminal, and keeps one sample a second."""
@@ -87,6 +113,7 @@ class _View(AbstractContextManager["_View"]):
     out: Output
     counts_per_rev: int
     samples: list[dict[str, Any]] = field(default_factory=list)
+    help: Callable[[], str] = str  # a line to stand below the live one
     _last: Tick | None = None
     _line: str = ""
     _live: Any = None
@@ -105,7 +132,8 @@ class _View(AbstractContextManager["_View"]):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        (self._live or nullcontext()).__exit__(None, None, None)
+        with suppress(OSError):  # the terminal may have gone
+            (self._live or nullcontext()).__exit__(None, None, None)
 
     def __call__(self, tick: Tick) -> None:
         before, self._last = self._last, tick
@@ -151,6 +179,15 @@ class _View(AbstractContextManager["_View"]):
         if self._live is not None:
             from rich.text import Text
 
-            self._live.update(Text(self._line), refresh=True)
+            if _takes_text(self.out.stream):
+                self._live.update(Text("\n".join(filter(None, (self._line, self.help()))), no_wrap=True), refresh=True)
         else:
             self.out(self._line)
+
+
+def _takes_text(stream: TextIO) -> bool:
+    """Whether a terminal takes text now: one that is held or hung must not hold up the tick loop."""
+    try:
+        return bool(select.select([], [stream], [], 0.0)[1])
+    except (OSError, ValueError):  # Windows knows this of sockets only
+        return True
