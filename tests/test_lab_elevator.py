@@ -21,7 +21,7 @@ from fiohost.cli.keys import Keys, split_keys
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError
 from fiohost.labs.elevator.buttons import Buttons, Press, parse_presses, pressed
-from fiohost.labs.elevator.car import FLOORS, Design, Record, car_model, floor_cm, moves
+from fiohost.labs.elevator.car import FLOORS, Design, FloatArray, Record, car_model, floor_cm, moves
 from fiohost.labs.elevator.experiment import Plan, live
 from fiohost.labs.elevator.ride import ByButtons, ByKeys
 from fiohost.labs.elevator.search import simulate
@@ -87,8 +87,8 @@ def test_presses_are_read_in_order() -> None:
 # ---- what is judged ------------------------------------------------------------------------------------------------
 
 
-def record(ref_cm: np.ndarray, height_cm: np.ndarray) -> Record:
-    return Record(np.arange(len(ref_cm)) * TICK_S, ref_cm, height_cm, np.zeros(len(ref_cm)))
+def record(ref_cm: FloatArray, height_cm: FloatArray) -> Record:
+    return Record(TICK_S * np.arange(len(ref_cm), dtype=np.float64), ref_cm, height_cm, np.zeros(len(ref_cm)))
 
 
 def test_two_changes_within_a_second_are_one_move() -> None:
@@ -104,7 +104,7 @@ def test_each_criterion_is_judged_by_itself() -> None:
     ref = np.where(times < 0.5, 0.0, 5.0)
     on = np.maximum(times - 0.5, 0.0)
 
-    def faults(height: np.ndarray) -> list[str]:
+    def faults(height: FloatArray) -> list[str]:
         (move,) = moves(record(ref, height))
         return move.faults
 
@@ -141,9 +141,8 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     result = CliRunner().invoke(cli, ["lab", "elevator", *args])
     assert result.exit_code == 0, result.stderr
     found: dict[str, object] = json.loads(result.stdout)
-    assert {p.name for p in folder.glob("*.png")} == {
-        f"elevator_{n}.png" for n in ("p", "pi", "power", "found", "ride")
-    }
+    pictures = ("p", "pi", "power", "found", "ride")
+    assert {p.name for p in folder.glob("*.png")} == {f"elevator_{name}.png" for name in pictures}
     return found
 
 

@@ -31,7 +31,7 @@ from fiohost.labs.result import Answer, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = ("on", "overshoot (%)", "settling (s)", "rise (s)", "error (cm)", "meets")
+COLUMNS = ("on", "overshoot (%)", "settle (s)", "rise (s)", "error (cm)", "meets")
 CRITERIA = {"overshoot_pct": MOST_OVERSHOOT_PCT, "error_cm": MOST_ERROR_CM, "settling_s": MOST_SETTLING_S}
 
 
