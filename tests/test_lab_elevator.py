@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import pty
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fiohost.bench.connect import connect
-from fiohost.cli.keys import Keys, split_keys
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError
 from fiohost.labs.elevator.buttons import Buttons, Press, parse_presses, pressed
@@ -197,30 +193,15 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
 # ---- keys ----------------------------------------------------------------------------------------------------------
 
 
-def test_arrows_are_one_key() -> None:
-    assert split_keys("u\x1b[AD\x1b[Bq") == ["u", "up", "D", "down", "q"]
-
-
-def test_keys_of_a_terminal_come_without_return(monkeypatch: pytest.MonkeyPatch) -> None:
-    master, line = pty.openpty()
-    with os.fdopen(line, "r", closefd=True) as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        with Keys() as keys:
-            assert keys.read() == []
-            os.write(master, b"u\x1b[B")
-            assert keys.read() == ["u", "down"]
-    os.close(master)
-
-
 def test_a_ride_by_keys_ends_by_its_key(tmp_path: Path) -> None:
-    script = {100: ["u", "u"], 500: ["U"], 900: ["down", "x"], 1300: ["q"]}
+    script = {100: ["u", "u"], 500: ["U"], 900: ["down", "x", "page down"], 1300: ["q"]}
     asked = iter(range(100_000))
     demand = ByKeys(lambda: script.get(next(asked), []))
     with connect("sim:nxt_elevator") as bench:
         result = live(bench, Plan(), demand, tmp_path, lambda tick: None)
-    assert result.values["ride"]["floors_asked"] == [1, 2, 3, 4, 5, 4]
-    assert demand.floor == 4
-    assert len(demand.presses) == 4
+    assert result.values["ride"]["floors_asked"] == [1, 2, 3, 4, 5, 4, 3, 2]
+    assert demand.floor == 2
+    assert len(demand.presses) == 5
 
 
 def test_a_scripted_ride_ends_by_itself() -> None:

@@ -32,7 +32,7 @@ MOST_RUNS = 20  # of a list of gains
 @click.option("--ride-ki", default="0", show_default=True, metavar="KI", help="Its integral gain.")
 @click.option("--ride-power", default="40", show_default=True, metavar="PCT", help="Its power limit.")
 @click.option("--presses", metavar="LIST", help="When buttons are held: up@1,up@3.5:0.7,down@9 (seconds:held).")
-@click.option("--live", is_flag=True, help="Only the ride, by keys: u d or arrows one floor, U D two, q ends it.")
+@click.option("--live", is_flag=True, help="Only the ride, by keys: u d one floor, U D two, q ends it.")
 @click.option("--current-limit", metavar="A", help="Current limit of the model; the text's simulation has 1 A.")
 @click.option("--full-scale", default="4.5", show_default=True, metavar="V", help="The target's full duty in volts.")
 @result_options
@@ -65,6 +65,11 @@ def elevator(
     if live and presses is not None:
         raise click.UsageError("--live takes its presses from the keys: leave --presses out")
     out = output_for(json_to)
+    if live:
+        from fiohost.panel.keys import has_keys
+
+        if not has_keys(out.stream):
+            raise ConfigError("--live reads keys, and this is no terminal: give --presses instead")
 
     from fiohost.bench.connect import connect
     from fiohost.labs.elevator.buttons import parse_presses
@@ -103,26 +108,24 @@ def _numbers(option: str, text: str, low: float, high: float) -> tuple[float, ..
 
 def _live(bench: Bench, plan: Plan, folder: Path, out: Output) -> LabResult:
     """Keys become presses while the car moves."""
-    from fiohost.cli.keys import Keys
     from fiohost.labs.elevator.car import DEG_PER_CM, floor_cm
     from fiohost.labs.elevator.experiment import live
     from fiohost.labs.elevator.ride import ByKeys
+    from fiohost.panel.keys import Keyboard
 
-    with Keys() as keys:
-        demand = ByKeys(keys.read)
-        out("u d or the arrows: one floor; U D: held, two floors; q or Ctrl-C: brake and end")
-        zero: list[float] = []
+    out("u d or arrows: one floor; U D or shift with an arrow: held, two floors; q or Ctrl-C: brake and end")
+    begin_deg: float | None = None
 
-        def show(tick: Tick) -> None:
-            zero.append(tick.angle_deg) if not zero else None
-            height = (tick.angle_deg - zero[0]) / DEG_PER_CM
-            click.echo(
-                f"\r{tick.time_s:6.1f} s  car at {height:6.2f} cm, asked for floor {demand.floor} "
-                f"({floor_cm(demand.floor):g} cm), duty {tick.command.duty_pct:6.1f} % ",
-                nl=False,
-                err=True,
-            )
+    def show(tick: Tick) -> None:
+        nonlocal begin_deg
+        begin_deg = tick.angle_deg if begin_deg is None else begin_deg
+        height_cm = (tick.angle_deg - begin_deg) / DEG_PER_CM
+        asked = f"asked for floor {demand.floor} ({floor_cm(demand.floor):g} cm)"
+        line = f"\r{tick.time_s:6.1f} s  car at {height_cm:6.2f} cm, {asked}, duty {tick.command.duty_pct:6.1f} % "
+        click.echo(line, nl=False, file=out.stream)
 
+    with Keyboard() as keyboard:
+        demand = ByKeys(keyboard.read)
         result = live(bench, plan, demand, folder, show)
-        click.echo(err=True)
+    out()
     return result

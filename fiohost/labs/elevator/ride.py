@@ -24,6 +24,12 @@ STAY_S = 2.0  # on a floor, as in the text
 RIDE_END_S = 3.0  # after the last press
 LONG_PRESS_S = 0.7
 BETWEEN_S = 0.05  # two keys in a row press the button twice
+KEYS = {
+    **dict.fromkeys(("u", "up"), ("up", SHORT_PRESS_S)),
+    **dict.fromkeys(("U", "page up"), ("up", LONG_PRESS_S)),
+    **dict.fromkeys(("d", "down"), ("down", SHORT_PRESS_S)),
+    **dict.fromkeys(("D", "page down"), ("down", LONG_PRESS_S)),
+}
 
 
 def up_and_down(time_s: float) -> float | None:
@@ -58,9 +64,9 @@ class ByButtons:
 
 
 class ByKeys(ByButtons):
-    """The demand of keys while they are pressed: u, d or an arrow press a button shortly, U and D hold it, q ends.
+    """The demand of keys as they come: u, d or an arrow press a button shortly, U, D or shift with an arrow hold it.
 
-    *read* gives the keys since it was last asked. A terminal tells no release, so the length of a press is ours.
+    *read* gives the keys since it was last asked; q ends. A terminal tells no release, so how long is ours.
     """
 
     def __init__(self, read: Callable[[], Sequence[str]]) -> None:
@@ -72,9 +78,8 @@ class ByKeys(ByButtons):
         for key in self._read():
             if key in ("q", "Q"):
                 return None
-            button = {"u": "up", "d": "down"}.get(key.lower(), key)
-            if button in self._free_s and len(self.presses) < MOST_PRESSES:
-                held_s = LONG_PRESS_S if key in ("U", "D") else SHORT_PRESS_S
+            button, held_s = KEYS.get(key, ("", 0.0))
+            if button and len(self.presses) < MOST_PRESSES:
                 at_s = max(time_s, self._free_s[button])
                 self.presses.append(Press(button, at_s, held_s))
                 self._free_s[button] = at_s + held_s + BETWEEN_S

@@ -31,7 +31,7 @@ from fiohost.labs.result import Answer, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = ("on", "overshoot (%)", "settle (s)", "rise (s)", "error (cm)", "meets")
+COLUMNS = ("on", "PO (%)", "settle (s)", "rise (s)", "error (cm)", "meets")
 CRITERIA = {"overshoot_pct": MOST_OVERSHOOT_PCT, "error_cm": MOST_ERROR_CM, "settling_s": MOST_SETTLING_S}
 
 
@@ -63,7 +63,7 @@ def notes(plan: Plan) -> tuple[str, ...]:
     return (
         f"Model: {MOTOR.source}, load {LOAD_NM:g} N m against upward motion, full duty {MOTOR.supply_V:g} V, {limit} "
         "(the text's simulation has one of 1 A, the plant nxt_elevator has none).",
-        "Overshoot and settling are of the response's own final value (Eq. D-30), a rise is from 10 to 90 %; a target "
+        "Overshoot (PO) and settling to 5 % are of the response's own final value (Eq. D-30), a rise is from 10 to 90 %; a target "
         "is read at 0.5 deg, 0.012 cm. Height is zero where the car stands when a run begins.",
         f"Floors are numbered 1 to {FLOORS}; the text counts 0 to {FLOORS - 1}.",
     )
