@@ -60,7 +60,10 @@ class Gains:
         """The same in percent for an error in degrees (or deg/s): 1 rad of error is the text's 1 V."""
         scale = float(np.radians(1.0)) * pct_per_volt
         filter_s = min(DERIVATIVE_FILTER_S, 2.0 * way.sample_time_s)
-        return PID(self.kp * scale, self.ki * scale, self.kd * scale, way.sample_time_s, filter_s, on_angle=True)
+        tracking_s = self.kp / self.ki if self.ki else 0.0  # the text's block lets the integral wind up
+        return PID(
+            self.kp * scale, self.ki * scale, self.kd * scale, way.sample_time_s, filter_s, True, tracking_s
+        )  # fmt: skip
 
 
 def position(gains: Gains, ref_deg: float) -> MakeLaw:

@@ -1,0 +1,345 @@
+"""Position control: proportional gains, disturbance and integral, inertia, saturation, a PI design, and Eq. 7-53."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fiohost.control.metrics import step_figures
+from fiohost.labs.constants import MotorConstants
+from fiohost.labs.pi_design import PiDesign, design_pi, design_table, figures_of, play_design, step_21, step_25
+from fiohost.labs.play import NO_LIMITS, Run, Torque
+from fiohost.labs.result import Answer, Cell, LabResult, Table
+from fiohost.labs.session import SATURATION, Gains, Session, position
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fiohost.report.panels import Panel
+
+DURATION_S = 2.0
+DISTURBED_S = 4.0  # after the torque comes
+BAND = 0.05
+INERTIAS = (1.0, 2.0, 4.0)
+Trio = tuple[Run, Run, Run]
+
+# Appendix D, table D-7: overshoot %, settling to 5 % s, rise s of the text's own motor, by Kp
+TABLE_D7 = {1.5: (0.0, 0.37, 0.28), 2.5: (12.5, 0.51, 0.21), 5.0: (18.0, 0.61, 0.17)}
+
+
+@dataclass(frozen=True)
+class PositionPlan:
+    """What is done: gains in V/rad, V/(rad s) and V s/rad; steps in degrees."""
+
+    step_deg: float = 160.0
+    gains: Sequence[float] = (1.5, 2.0, 5.0)
+    integral_with: float = 2.0
+    integrals: Sequence[float] = (1.0, 3.0, 6.0)
+    pid: Gains = Gains(3.0, 6.0, 0.1)  # noqa: RUF009
+    torque: Torque | None = Torque(-0.1, 2.0)  # noqa: RUF009
+    overshoot_pct: float = 30.0
+    rise_s: float = 0.1
+
+
+def second_order(q: MotorConstants, kp: float) -> tuple[float, float]:
+    """Damping and natural frequency by the text's Eq. 7-53, sensor gain 1."""
+    omega_n = math.sqrt(kp * q.Kt_Nm_per_A / (q.R_ohm * q.J_kgm2))
+    return q.damping_Nms / q.J_kgm2 / (2.0 * omega_n), omega_n
+
+
+def predicted_overshoot(zeta: float) -> float:
+    return 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2)) if zeta < 1.0 else 0.0
+
+
+def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> LabResult:
+    """Steps 16 to 25, each with its own table."""
+    q, to = session.constants, plan.step_deg
+    runs = {
+        kp: session.three(f"position_kp{kp:g}".replace(".", "p"), position(Gains(kp), to), DURATION_S)
+        for kp in plan.gains
+    }
+    tables, answers = [_proportional(runs, to)], [_step_16(runs, to)]
+    pressed: list[tuple[Gains, Trio]] = []
+    if plan.torque is not None:
+        pressed = _press(session, plan, plan.torque)
+        tables.append(_pressed_table(pressed, to, plan.torque))
+        answers += _steps_17_18(pressed, to, plan.torque, q)
+    inertia = _inertia(session, plan)
+    saturation = _saturation(session, max(plan.gains), to)
+    design = design_pi(q, plan.overshoot_pct, plan.rise_s, SATURATION["both"])
+    designed = play_design(session, design, to)
+    valid, valid_table = _eq_7_53(session, plan.gains, runs, to)
+    tables += [inertia[1], saturation, design_table(designed), valid_table]
+    answers += [
+        inertia[0],
+        _step_20(saturation, max(plan.gains)),
+        step_21(design, plan.overshoot_pct, plan.rise_s),
+        valid,
+    ]
+    answers += [
+        _step_23(runs, to),
+        _step_24(runs, max(plan.gains), to),
+        step_25(designed, plan.overshoot_pct, plan.rise_s),
+    ]
+    return LabResult(
+        name="position-control",
+        title=f"Position control, steps of {to:g} deg",
+        target=session.target,
+        tables=tuple(tables),
+        answers=tuple(answers),
+        notes=tuple(session.notes),
+        values=_values(plan, runs, pressed, design, designed, to),
+        figures={
+            "position_control": lambda: _draw(session, plan, runs, pressed),
+            "position_control_pi": lambda: _draw_design(session, designed),
+        },
+        files=dict(session.logs),
+    )
+
+
+# ---- proportional gains ------------------------------------------------------------------------------------------
+
+
+def _proportional(runs: dict[float, Trio], to: float) -> Table:
+    rows: list[list[Cell]] = []
+    for kp, trio in runs.items():
+        for run in trio:
+            f = figures_of(run, to)
+            rows.append([kp, run.name, f.overshoot_pct, f.rise_s, f.settling_5_s, f.steady_state_error,
+                         float(np.max(np.abs(run.volts)))])  # fmt: skip
+        if kp in TABLE_D7 and to == 160.0:
+            overshoot, settling, rise = TABLE_D7[kp]
+            rows.append([kp, "text D-7, measured", overshoot, rise, settling, None, None])
+    columns = ("Kp V/rad", "who", "overshoot %", "rise s", "settling 5 % s", "error deg", "peak V")
+    return Table(f"Proportional position control, {to:g} deg", columns, rows)
+
+
+def _step_16(runs: dict[float, Trio], to: float) -> Answer:
+    told = "; ".join(f"Kp {kp:g}: {figures_of(trio[0], to).steady_state_error:.3f} deg" for kp, trio in runs.items())
+    return Answer(
+        f"Step 16. Steady-state error of the ideal model after a step of {to:g} deg",
+        f"{told}. The motor integrates voltage to angle, so without a load no error is left",
+    )
+
+
+def _step_23(runs: dict[float, Trio], to: float) -> Answer:
+    told = "; ".join(
+        f"Kp {kp:g}: error {b.steady_state_error:.2f} deg, overshoot {b.overshoot_pct:.1f} % "
+        f"(model {a.overshoot_pct:.1f}), rise {b.rise_s:.3f} s (model {a.rise_s:.3f})"
+        for kp, a, b in ((kp, figures_of(t[1], to), figures_of(t[2], to)) for kp, t in runs.items())
+    )
+    return Answer("Step 23. The same on the target", told)
+
+
+# ---- disturbance, integral, derivative ---------------------------------------------------------------------------
+
+
+def _press(session: Session, plan: PositionPlan, torque: Torque) -> list[tuple[Gains, Trio]]:
+    kinds = [Gains(plan.integral_with), *(Gains(plan.integral_with, ki) for ki in plan.integrals), plan.pid]
+    duration = torque.at_s + DISTURBED_S
+    return [
+        (g, session.three(f"position_disturbed_{i}", position(g, plan.step_deg), duration, torque))
+        for i, g in enumerate(kinds)
+    ]
+
+
+def _pushed(run: Run, to: float, torque: Torque) -> tuple[float, float, float]:
+    """Error just before the torque, largest deviation after it, and error at the end, in degrees."""
+    before = (run.time_s < torque.at_s) & (run.time_s > 0.8 * torque.at_s)
+    after = run.time_s >= torque.at_s
+    tail = run.time_s > run.time_s[-1] - 0.1 * DISTURBED_S
+    rest = float(run.angle_deg[before].mean()) if before.any() else 0.0
+    away = run.angle_deg[after] - rest
+    return to - rest, float(away[np.argmax(np.abs(away))]), to - float(run.angle_deg[tail].mean())
+
+
+def _pressed_table(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque) -> Table:
+    rows: list[list[Cell]] = []
+    for gains, trio in pressed:
+        for run in trio:
+            keep = run.time_s < torque.at_s if torque.at_s > 0.5 else run.time_s >= 0.0
+            f = step_figures(run.time_s[keep], run.angle_deg[keep], 0.0, to)
+            rows.append([str(gains), run.name, f.overshoot_pct, f.settling_5_s, *_pushed(run, to, torque)])
+    columns = ("controller", "who", "overshoot %", "settling 5 % s", "error before deg", "pushed by deg",
+               "error at end deg")  # fmt: skip
+    return Table(f"Disturbance of {torque.torque_Nm:g} N m at {torque.at_s:g} s", columns, rows)
+
+
+def _steps_17_18(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, q: MotorConstants) -> list[Answer]:
+    alone = pressed[0]
+    ends = [_pushed(run, to, torque)[2] for run in alone[1]]
+    expected = -math.degrees(torque.torque_Nm * q.R_ohm / (q.Kt_Nm_per_A * alone[0].kp))
+    told = "; ".join(
+        f"{g}: target {_pushed(t[2], to, torque)[2]:.2f} deg left, pushed by {_pushed(t[2], to, torque)[1]:.1f}, "
+        f"overshoot {_overshoot(t[2], to, torque):.1f} %"
+        for g, t in pressed[1:]
+    )
+    return [
+        Answer(
+            f"Step 17. A disturbance torque of {torque.torque_Nm:g} N m",
+            f"with {alone[0]} V/rad an error of {ends[0]:.1f} deg stays on the model and {ends[2]:.1f} on the target; "
+            f"TL Ra / (Ki Kp) = {expected:.1f} deg",
+        ),
+        Answer(
+            "Step 18. Integral gains, and a derivative beside them",
+            f"{told}. The integral takes the error away; more of it does so sooner and overshoots more",
+        ),
+    ]
+
+
+def _overshoot(run: Run, to: float, torque: Torque) -> float:
+    keep = run.time_s < max(torque.at_s, 0.5)
+    return step_figures(run.time_s[keep], run.angle_deg[keep], 0.0, to).overshoot_pct
+
+
+# ---- inertia and saturation --------------------------------------------------------------------------------------
+
+
+def _inertia(session: Session, plan: PositionPlan) -> tuple[Answer, Table]:
+    q, to = session.constants, plan.step_deg
+    gains = Gains(plan.integral_with, plan.integrals[len(plan.integrals) // 2])
+    rows: list[list[Cell]] = []
+    for factor in INERTIAS:
+        run = session.ideal(position(gains, to), 4 * DURATION_S, session.limits, q.with_inertia(factor * q.J_kgm2))
+        f = figures_of(run, to)
+        rows.append([factor, factor * q.J_kgm2, f.overshoot_pct, f.rise_s, f.settling_5_s, f.steady_state_error])
+    a, b = rows[0], rows[-1]
+    answer = Answer(
+        f"Step 19. More inertia under PI ({gains})",
+        f"{b[0]:g} times the inertia: overshoot {b[2]:.1f} % instead of {a[2]:.1f}, rise {b[3]:.3f} s instead of "
+        f"{a[3]:.3f}, settling {b[4]:.2f} s instead of {a[4]:.2f}; the error left is {b[5]:.2f} deg instead of "
+        f"{a[5]:.2f}: inertia changes the way, not the end, as long as the loop is stable",
+    )
+    columns = ("times J", "J kg m2", "overshoot %", "rise s", "settling 5 % s", "error deg")
+    return answer, Table(f"Inertia under PI, ideal model, {gains}", columns, rows)
+
+
+def _saturation(session: Session, kp: float, to: float) -> Table:
+    rows: list[list[Cell]] = []
+    for name in ("none", "voltage", "current", "both"):
+        run = session.ideal(position(Gains(kp), to), DURATION_S, SATURATION[name])
+        f = figures_of(run, to)
+        current = np.zeros(1) if run.current_A is None else run.current_A
+        rows.append([name, f.overshoot_pct, f.rise_s, f.settling_5_s, float(np.max(np.abs(run.volts))),
+                     float(np.max(np.abs(current))), float(np.max(np.abs(run.speed_rad_s)))])  # fmt: skip
+    columns = ("limits", "overshoot %", "rise s", "settling 5 % s", "peak V", "peak A", "fastest rad/s")
+    return Table(f"Limits of 4.5 V and 1 A, ideal model, Kp {kp:g}, {to:g} deg", columns, rows)
+
+
+def _step_20(table: Table, kp: float) -> Answer:
+    told = "; ".join(
+        f"{row[0]}: overshoot {row[1]:.1f} %, rise {row[2]:.3f} s, up to {row[4]:.1f} V and {row[5]:.2f} A"
+        for row in table.rows
+    )
+    return Answer(f"Step 20. Voltage and current saturation at Kp {kp:g}", told)
+
+
+def _step_24(runs: dict[float, Trio], kp: float, to: float) -> Answer:
+    _, model, target = runs[kp]
+    a, b = figures_of(model, to), figures_of(target, to)
+    at_limit = 100.0 * float(np.mean(np.abs(target.volts) >= 0.999 * np.max(np.abs(target.volts))))
+    amperes = "" if target.current_A is None else f" and {float(np.max(np.abs(target.current_A))):.2f} A"
+    return Answer(
+        f"Step 24. Saturation on the target at Kp {kp:g}",
+        f"asked for {math.radians(to) * kp:.1f} V, given at most {float(np.max(np.abs(target.volts))):.2f} V{amperes} "
+        f"({at_limit:.0f} % of the run at that voltage); overshoot {b.overshoot_pct:.1f} % (model with the same limits "
+        f"{a.overshoot_pct:.1f}), rise {b.rise_s:.3f} s (model {a.rise_s:.3f})",
+    )
+
+
+# ---- Eq. 7-53 ----------------------------------------------------------------------------------------------------
+
+
+def _eq_7_53(session: Session, gains: Sequence[float], runs: dict[float, Trio], to: float) -> tuple[Answer, Table]:
+    q = session.constants
+    rows: list[list[Cell]] = []
+    for kp in gains:
+        zeta, omega_n = second_order(q, kp)
+        free = figures_of(session.ideal(position(Gains(kp), to), DURATION_S, NO_LIMITS), to)
+        limited, target = (figures_of(runs[kp][i], to) for i in (0, 2))
+        rows.append([kp, zeta, omega_n, predicted_overshoot(zeta), free.overshoot_pct, limited.overshoot_pct,
+                     target.overshoot_pct])  # fmt: skip
+    told = "; ".join(
+        f"Kp {r[0]:g}: {r[3]:.1f} % predicted, {r[4]:.1f} % with inductance and no limits, {r[5]:.1f} % with limits, "
+        f"{r[6]:.1f} % on the target"
+        for r in rows
+    )
+    answer = Answer(
+        "Step 22. How far Eq. 7-53 holds",
+        f"overshoot: {told}. It holds while nothing saturates; the winding's lag adds a little, limits change the rest",
+    )
+    columns = ("Kp V/rad", "zeta", "omega_n rad/s", "Eq. 7-53 %", "no limits %", "limits %", "target %")
+    return answer, Table("Overshoot by Eq. 7-53", columns, rows)
+
+
+# ---- for programs and eyes ---------------------------------------------------------------------------------------
+
+
+def _values(
+    plan: PositionPlan, runs: dict[float, Trio], pressed: list[tuple[Gains, Trio]], design: PiDesign,
+    designed: list[tuple[str, float, Run]], to: float,
+) -> dict[str, Any]:  # fmt: skip
+    def named(run: Run, size: float) -> dict[str, float]:
+        f = figures_of(run, size)
+        return {"overshoot_pct": f.overshoot_pct, "rise_s": f.rise_s, "settling_5_s": f.settling_5_s,
+                "steady_state_error_deg": f.steady_state_error}  # fmt: skip
+
+    return {
+        "step_deg": to,
+        "proportional": [
+            {"kp_V_per_rad": kp, **{r.name: named(r, to) for r in trio}} for kp, trio in runs.items()
+        ],
+        "disturbed": [
+            {"kp": g.kp, "ki": g.ki, "kd": g.kd,
+             **{f"{r.name}_error_at_end_deg": _pushed(r, to, plan.torque)[2] for r in trio}}
+            for g, trio in pressed if plan.torque is not None
+        ],
+        "pi": {
+            "kp_V_per_rad": design.gains.kp, "ki_V_per_rad_s": design.gains.ki,
+            "overshoot_pct": design.overshoot_pct, "rise_s": design.rise_s,
+            "largest_unsaturated_step_deg": design.largest_deg, "bound_by": design.bound_by,
+            "target_at_largest": named(designed[3][2], designed[3][1]),
+        },
+    }  # fmt: skip
+
+
+def _draw(session: Session, plan: PositionPlan, runs: dict[float, Trio], pressed: list[tuple[Gains, Trio]]) -> Figure:
+    from fiohost.report.panels import Curve, Panel, plot_panels
+
+    to = plan.step_deg
+    asked = Curve([0.0, DURATION_S], [to, to], "reference", -1, "reference")
+    angle = [Curve(r.time_s, r.angle_deg, f"Kp {kp:g}, {r.name}", i, r.name)
+             for i, (kp, trio) in enumerate(runs.items()) for r in trio]  # fmt: skip
+    volt = [Curve(r.time_s, r.volts, f"Kp {kp:g}, {r.name}", i, r.name)
+            for i, (kp, trio) in enumerate(runs.items()) for r in trio]  # fmt: skip
+    panels: list[Panel] = [
+        Panel([asked, *angle], "angle (deg)", title=f"Step of {to:g} deg", x_limits=(0.0, 1.5)),
+        Panel(volt, "armature voltage (V)", title="Voltage", x_limits=(0.0, 1.0)),
+    ]
+    if pressed:
+        end = float(pressed[0][1][0].time_s[-1])
+        curves = [Curve([0.0, end], [to, to], "reference", -1, "reference")]
+        curves += [Curve(r.time_s, r.angle_deg, f"{g}, {r.name}", i, r.name)
+                   for i, (g, trio) in enumerate(pressed) for r in trio[1:]]  # fmt: skip
+        panels.append(Panel(curves, "angle (deg)", title="Disturbance torque: P, PI and PID"))
+    return plot_panels(panels, f"Position control, {session.target} and model")
+
+
+def _draw_design(session: Session, designed: list[tuple[str, float, Run]]) -> Figure:
+    from fiohost.report.panels import Curve, Panel, plot_panels
+
+    sizes = sorted({size for _, size, _ in designed})
+    panels = []
+    for size in sizes:
+        curves = [Curve([0.0, 1.5], [size, size], "reference", -1, "reference")]
+        curves += [
+            Curve(r.time_s, r.angle_deg, f"{r.name}, no limits" if case == "no limits" else r.name,
+                  1 if case == "no limits" else 0, r.name)
+            for case, s, r in designed if s == size
+        ]  # fmt: skip
+        panels.append(Panel(curves, "angle (deg)", title=f"PI design, step of {size:.1f} deg", x_limits=(0.0, 1.5)))
+    return plot_panels(panels, f"PI design, {session.target} and model")
