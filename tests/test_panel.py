@@ -1,0 +1,358 @@
+"""``fiohost panel``: what a person may ask of it, and that the motor is braked whatever becomes of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from boards import WatchedTransport, bench_on, rows_of
+from desktop import Chromium, Screen, needed, until
+from test_cli_drive import FIOHOST, ROOT, refused
+from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from fiohost.bench.log import Log
+from fiohost.errors import FiohostError, LimitError
+from fiohost.panel import link
+from fiohost.panel.controls import Controls
+from fiohost.panel.link import PanelProgram
+from fiohost.panel.web import checked
+from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND
+
+SLIDER_Y, BUTTONS_Y, STOP = 0.175, 0.08, (0.86, 0.13)
+BRAKE_BUTTON_X, RELEASE_BUTTON_X = 0.11, 0.63
+SIZE_PX = (1080, 660)
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+
+
+def slider_x(duty_pct: float) -> float:
+    return 0.04 + 0.67 * (duty_pct + 100.0) / 200.0
+
+
+# ---- what may be asked ---------------------------------------------------------------------------------------------
+
+
+def test_duty_is_bounded_by_the_limit_of_the_target_and_zero_brakes() -> None:
+    controls = Controls(limit_pct=60.0)
+    assert controls.command == BRAKE_COMMAND
+    for asked, got in ((40, 40.0), (99.0, 60.0), (-1e5, -60.0), (0, 0.0)):
+        controls.act("duty", asked)
+        assert controls.command.duty_pct == got
+    assert controls.command == BRAKE_COMMAND
+    controls.act("change", 500.0)
+    controls.act("reverse")
+    assert (controls.command.duty_pct, controls.command.c3, controls.command.c4) == (-60.0, 0, 1)
+    controls.act("standby")
+    assert controls.command == STANDBY_COMMAND
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "40", None, True, [40], 10**400, {}])
+def test_what_is_no_finite_number_is_refused_and_changes_nothing(value: object) -> None:
+    controls = Controls()
+    controls.act("duty", 30)
+    for name in ("duty", "change"):
+        with pytest.raises(LimitError, match="finite number"):
+            controls.act(name, value)
+    with pytest.raises(LimitError, match="did you mean 'standby'"):
+        controls.act("stanby")
+    assert controls.command.duty_pct == 30.0
+
+
+def test_after_an_emergency_stop_only_its_release_is_obeyed_and_that_brakes() -> None:
+    controls = Controls()
+    controls.act("duty", 80)
+    controls.act("emergency")
+    for name, value in (("duty", 50.0), ("change", 5.0), ("standby", None), ("reverse", None), ("brake", None)):
+        controls.act(name, value)
+        assert (controls.command, controls.stopped) == (BRAKE_COMMAND, True)
+    controls.act("release")
+    assert (controls.command, controls.stopped) == (BRAKE_COMMAND, False)
+    controls.act("duty", 50.0)
+    assert controls.command.duty_pct == 50.0
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["", "[]", "7", '{"type": []}', '{"type": "eval"}', '{"type": "toolbar_button", "name": "save_figure"}', "[" * 9999,
+     '{"type": "button_press", "x": NaN, "y": 1}', '{"type": "motion_notify", "x": "1", "y": 1}',
+     '{"type": "resize", "width": 1e9, "height": 600}', '{"type": "resize", "width": 600}',
+     '{"type": "set_device_pixel_ratio", "device_pixel_ratio": 1000}', '{"type": "key_press", "key": 7}'],
+)  # fmt: skip
+def test_of_what_a_browser_sends_only_bounded_events_of_the_figure_are_taken(message: str) -> None:
+    assert checked(message) is None
+    press = {"type": "button_press", "x": 3, "y": 4.5, "button": 0, "buttons": 1, "modifiers": ["ctrl"], "guiEvent": {}}
+    taken = checked(json.dumps(press))
+    assert taken == {"type": "button_press", "x": 3.0, "y": 4.5, "button": 0, "buttons": 1, "step": 0.0,
+                     "modifiers": []}  # fmt: skip
+
+
+# ---- the bench's side of the link ----------------------------------------------------------------------------------
+
+
+class Script:
+    """A display that sends given messages at given ticks, and keeps what it is answered."""
+
+    def __init__(self, messages: dict[int, bytes | type[Exception]]) -> None:
+        self.answers: list[Any] = []
+        self._messages, self._tick = messages, -1
+
+    def poll(self) -> bool:
+        self._tick += 1
+        return self._tick in self._messages
+
+    def recv_bytes(self, most: int) -> bytes:
+        message = self._messages[self._tick]
+        if isinstance(message, bytes):
+            return message
+        raise message
+
+    def send_bytes(self, answer: bytes) -> None:
+        self.answers.append(json.loads(answer))
+
+
+def play(messages: dict[int, Any]) -> tuple[WatchedTransport, Script, Callable[[], int]]:
+    transport, script = WatchedTransport(), Script(messages)
+    bench = bench_on(transport)
+    program = PanelProgram(bench, script, "the panel died")  # type: ignore[arg-type]
+    return transport, script, lambda: bench.live(program, "run.csv", None, program, link.READING_S)
+
+
+def act(name: str, value: float | None = None) -> bytes:
+    return json.dumps({"act": name, "value": value}).encode()
+
+
+def test_the_bench_answers_frames_obeys_and_ends_when_the_display_is_closed() -> None:
+    frame = b'{"frame": true}'
+    transport, script, run = play({2: act("duty", 40.0), 200: act("duty", math.nan), 210: frame, 400: frame,
+                                   410: b'{"closed": true}'})  # fmt: skip
+    rows = run()
+    assert transport.braked
+    log = Log.read("run.csv")
+    assert len(log) == rows
+    assert log.metadata["ending"] == "complete"
+    first, second = script.answers
+    assert (first["mode"], first["duty_pct"], first["handled"]) == ("drive", 40.0, 2)
+    assert "finite number" in first["note"]
+    times = [row[0] for row in first["readings"] + second["readings"]]
+    assert times == sorted(set(times))  # each reading once
+    assert second["readings"][-1][4] == int(log.columns["pos"][round(times[-1] / 0.005)])
+
+
+@pytest.mark.parametrize(
+    "last", [EOFError, OSError, b"no json", b"[1]", b'{"frame": 1}', b'{"act": 5}', b'{"closed": true, "x": '],
+)  # fmt: skip
+def test_a_display_that_dies_or_raves_is_braked_for_and_the_log_is_whole(last: Any) -> None:
+    transport, _, run = play({2: act("duty", 70.0), 100: last})
+    with pytest.raises(FiohostError, match="the panel died"):
+        run()
+    assert transport.braked
+    log = Log.read("run.csv")
+    assert log.duty_pct[-1] == 70.0
+    assert "the panel died" in log.metadata["ending"]
+
+
+def test_a_display_that_hangs_is_braked_for_and_may_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter(i * 0.005 for i in range(10_000))
+    monkeypatch.setattr(link.time, "monotonic", lambda: next(now))
+    _, script, run = play({2: act("duty", 70.0), 600: b'{"frame": true}', 700: act("duty", 20.0),
+                           800: b'{"closed": true}'})  # fmt: skip
+    run()
+    log = Log.read("run.csv")
+    braked = [k for k in range(1, len(log)) if log.duty_pct[k] == 0.0 and log.duty_pct[k - 1] != 0.0]
+    assert len(braked) == 1
+    assert braked[0] * 0.005 == pytest.approx(link.HANG_S, abs=0.05)
+    assert "did not answer" in script.answers[0]["note"]
+    assert log.duty_pct[-1] == 20.0
+
+
+# ---- the command ---------------------------------------------------------------------------------------------------
+
+
+def test_what_makes_no_sense_is_refused_before_anything_is_opened() -> None:
+    for arguments, reason in (
+        (["--port", "80"], "add --web"),
+        (["--web", "--port", "99999"], "--port"),
+        (["--web", "--away", "nan"], "--away"),
+        (["--target", "nowhere"], "unknown target"),
+    ):
+        assert reason in refused("panel", *arguments)
+
+
+class Run:
+    """The command in a process of its own, with its traffic on standard error and its log in ``run.csv``."""
+
+    def __init__(self, *arguments: str, environment: dict[str, str] | None = None) -> None:
+        command = [*FIOHOST, "--debug", "panel", "--log", "run.csv", *arguments]
+        self.out, self.errors = Path("out.txt"), Path("errors.txt")
+        with self.out.open("w") as out, self.errors.open("w") as errors:
+            self.process = subprocess.Popen(command, stdout=out, stderr=errors, env=environment)
+
+    def where(self) -> str:
+        def told() -> str:
+            assert self.process.poll() is None, self.errors.read_text()[-2000:]
+            return self.out.read_text().partition("panel ")[2].partition(";")[0]
+
+        return str(until(told))
+
+    @staticmethod
+    def last() -> tuple[float, int, int, int]:
+        """Duty, C3, C4 and POS of the last whole row."""
+        rows = [row for row in rows_of(Path("run.csv")) if row.count(",") == 8] if Path("run.csv").exists() else []
+        if len(rows) < 2:
+            return math.nan, -1, -1, -1
+        fields = rows[-2].split(",")
+        return float(fields[1]), int(fields[2]), int(fields[3]), int(fields[4])
+
+    def drives(self, duty_pct: float) -> bool:
+        return abs(self.last()[0] - duty_pct) <= 2.0
+
+    def braked(self) -> bool:
+        return self.last()[:3] == (0.0, 1, 1)
+
+    def display(self) -> int:
+        """The process of the window or the web server."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        found = [c for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+        return int(found[0])
+
+    def ended(self) -> tuple[int, str, Log]:
+        """Exit code, standard error without traffic, and the log; the last report sent was a brake."""
+        code = self.process.wait(timeout=60)
+        lines = self.errors.read_text().splitlines()
+        sent = [line.partition("64: ")[2] for line in lines if line.startswith("fiohost.traffic: out")]
+        assert sent[-1] == "00 00 00 00 01 01"
+        log = Log.read("run.csv")
+        assert log.dropped == ()
+        return code, "\n".join(line for line in lines if not line.startswith("fiohost.")), log
+
+
+@contextmanager
+def running(*arguments: str, environment: dict[str, str] | None = None) -> Iterator[Run]:
+    run = Run(*arguments, environment=environment)
+    try:
+        yield run
+    finally:
+        if run.process.poll() is None:
+            run.process.kill()
+        run.process.wait()
+
+
+def drive_by_hand(run: Run, click: Callable[[float, float], None]) -> None:
+    """Slider, brake, emergency stop and its release, by the mouse."""
+    until(run.braked)
+    click(slider_x(50.0), SLIDER_Y)
+    until(lambda: run.drives(50.0))
+    pos = run.last()[3]
+    until(lambda: run.last()[3] != pos)
+    click(BRAKE_BUTTON_X, BUTTONS_Y)
+    until(run.braked)
+    click(slider_x(-80.0), SLIDER_Y)
+    until(lambda: run.drives(-80.0))
+    click(*STOP)
+    until(run.braked)
+    click(slider_x(30.0), SLIDER_Y)  # not obeyed
+    click(RELEASE_BUTTON_X, BUTTONS_Y)
+    click(slider_x(-30.0), SLIDER_Y)
+    until(lambda: not run.braked())
+    assert run.drives(-30.0)
+
+
+def test_in_a_window_the_mouse_drives_brakes_and_stops_and_closing_it_brakes() -> None:
+    needed("Xvfb", "xdotool")
+    with Screen() as screen, running(environment=screen.environment) as run:
+        assert run.where() == "in a window"
+        window = screen.window("fiohost panel: sim")
+        drive_by_hand(run, lambda x, y: screen.click(window, x, y))
+        screen.close(window)
+        code, _, log = run.ended()
+        assert (code, log.metadata["ending"]) == (0, "complete")
+        assert log.duty_pct[-1] == pytest.approx(-30.0, abs=2.0)
+
+
+def test_in_a_browser_the_mouse_drives_brakes_and_stops_and_leaving_brakes(tmp_path: Path) -> None:
+    needed("chromium")
+    with running("--web", "--port", "0") as run, Chromium(tmp_path / "profile") as browser:
+        browser.open(run.where().removeprefix("at "))
+        until(lambda: (browser.value("(document.querySelector('canvas') || {width: 0}).width") or 0) >= SIZE_PX[0])
+        drive_by_hand(run, browser.click)
+        browser.close_tab()
+        until(run.braked)
+        run.process.send_signal(signal.SIGINT)
+        code, said, log = run.ended()
+        assert code == 130, said
+        assert log.metadata["ending"] == "stopped by Ctrl-C"
+
+
+def test_where_no_window_can_be_opened_that_is_said_and_the_browser_named() -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")}
+    done = subprocess.run([*FIOHOST, "panel"], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "no window can be opened" in done.stderr
+    assert "--web" in done.stderr
+
+
+def press(fraction: float) -> str:
+    """A click on the slider as matplotlib's script sends it."""
+    at = {"x": slider_x(fraction) * SIZE_PX[0], "y": (1.0 - SLIDER_Y) * SIZE_PX[1]}
+    return json.dumps({"type": "button_press", **at, "button": 0, "buttons": 1, "modifiers": []})
+
+
+async def refuses(where: str, **headers: str) -> bool:
+    try:
+        await AsyncHTTPClient().fetch(where, headers=headers)
+    except HTTPClientError as exc:
+        return exc.code == 403
+    return False
+
+
+def test_sockets_that_leave_strangers_and_a_killed_display_all_leave_the_motor_braked() -> None:
+    async def session(run: Run) -> None:
+        where = run.where().removeprefix("at ")
+        host = where.removeprefix("http://").strip("/")
+        socket = f"ws://{host}/socket"
+        assert host.startswith("127.0.0.1:")
+        assert await refuses(where, Host="evil.example")  # a name elsewhere made to point here
+        with pytest.raises(HTTPClientError, match="403"):
+            await websocket_connect(HTTPRequest(socket, headers={"Origin": "http://evil.example"}))
+        browser = await websocket_connect(socket)
+        await browser.write_message('{"type": "refresh"}')
+        await browser.write_message("nonsense")
+        await browser.write_message(press(60.0))
+        await arrives(lambda: run.drives(60.0), browser)
+        browser.close()
+        await arrives(run.braked, None)  # the last has gone
+        again = await websocket_connect(socket)
+        await again.write_message('{"type": "refresh"}')
+        await again.write_message(press(-40.0))
+        await arrives(lambda: run.drives(-40.0), again)
+        os.kill(run.display(), signal.SIGKILL)
+
+    async def arrives(what: Callable[[], bool], browser: Any) -> None:
+        for _ in range(3000):
+            if what():
+                return
+            await asyncio.sleep(0.02)
+        raise AssertionError("it did not come")
+
+    with running("--web", "--port", "0") as run:
+        asyncio.run(session(run))
+        code, said, log = run.ended()
+    assert code == 1
+    assert said.splitlines()[0] == "fiohost: the panel died and the motor was braked"
+    assert log.duty_pct[-1] == pytest.approx(-40.0, abs=2.0)
+    assert "the panel died" in log.metadata["ending"]
