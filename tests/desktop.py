@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import ctypes
+import importlib.util
 import json
 import os
 import re
@@ -24,8 +25,10 @@ from tornado.websocket import websocket_connect
 def needed(*programs: str) -> None:
     """Skip loudly where one is absent; with FIOHOST_NEEDS_DESKTOP set, as in the gate, fail."""
     absent = [name for name in programs if shutil.which(name) is None]
+    if "Xvfb" in programs and importlib.util.find_spec("_tkinter") is None:
+        absent.append("Python's Tk")
     if absent:
-        reason = f"NOT TESTED, PROGRAMS ABSENT: {', '.join(absent)} (apt-get install xvfb xdotool chromium)"
+        reason = f"NOT TESTED, ABSENT: {', '.join(absent)} (apt-get install xvfb xdotool chromium python3-tk)"
         if os.environ.get("FIOHOST_NEEDS_DESKTOP"):
             pytest.fail(reason)
         pytest.skip(reason)
