@@ -1,7 +1,8 @@
 """Host tool for DC-motor control benches: drive, log, identify, and name what the model lacks.
 
 The public names are loaded when first used, so that ``import fiohost`` costs nothing:
-``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``.
+``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``,
+``design``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ _WHERE = {
     "Model": "fiohost.motor.model",
     "identify": "fiohost.identify.logs",
     "diagnose": "fiohost.circle.evidence",
+    "design": "fiohost.control.design",
 }
 
 __all__ = ["__version__", *_WHERE]

@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "deadband": ("fiohost.cli.deadband:deadband", "Find the duty at which the motor starts, in both directions."),
     "run": ("fiohost.cli.run:run", "Run a scripted open- or closed-loop experiment."),
     "identify": ("fiohost.cli.identify:identify", "Find K, tau, zeta and omega_n from logs."),
+    "design": ("fiohost.cli.design:design", "Find gains that meet a specification on a model."),
     "diagnose": ("fiohost.cli.diagnose:diagnose", "Fit a model to logs and name what it lacks."),
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),

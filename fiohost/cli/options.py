@@ -24,6 +24,12 @@ def target_options(command: Command) -> Command:
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
 
 
+def profile_option(command: Command) -> Command:
+    """Add ``--profile FILE``, a bench profile, as argument ``profile`` (text or None)."""
+    text = "Bench profile with the deadband, from fiohost deadband --save."
+    return click.option("--profile", metavar="FILE", help=text)(command)
+
+
 def parse_number(option: str, text: str, low: float, high: float, unit: str = "") -> float:
     """A finite number within [low, high]. Raises ConfigError naming the option."""
     try:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fiohost.cli.options import parse_seed, target_options
+from fiohost.cli.options import parse_seed, profile_option, target_options
 from fiohost.cli.output import Output, json_option, output_for
+from fiohost.errors import ConfigError
 
 if TYPE_CHECKING:
     from fiohost.bench.experiment import Experiment
@@ -21,6 +22,8 @@ SCHEMA = "fiohost.run/1"
 @click.argument("experiment", required=False)
 @target_options
 @click.option("--log", "log_to", metavar="F", help="The log to write; otherwise EXPERIMENT-DATE-TIME.csv here.")
+@click.option("--controller", metavar="FILE", help="Controller file in place of the experiment's controller.")
+@profile_option
 @click.option("--realtime", is_flag=True, help="Keep real time on a simulated target too.")
 @click.option("--list", "listing", is_flag=True, help="List the experiments that ship with fiohost.")
 @json_option
@@ -29,16 +32,20 @@ def run(
     target: str,
     seed: str | None,
     log_to: str | None,
+    controller: str | None,
+    profile: str | None,
     realtime: bool,
     listing: bool,
     json_to: str | None,
 ) -> None:
-    """Run EXPERIMENT, a shipped one by name or a TOML file, from rest; brake, and say what happened.
+    """Run EXPERIMENT, a shipped one by name or a TOML file, from rest; brake, and say what happened. A bench profile
+    puts its own deadband compensation in the place of the experiment's or the controller file's.
 
     \b
     Example:
       fiohost run square_170_190 --log run.csv
       fiohost run my_staircase.toml --target sim:nxt_no_load
+      fiohost run square_170_190 --controller pd.toml --profile bench.toml
     """
     from fiohost.bench.experiment import Experiment
 
@@ -48,7 +55,7 @@ def run(
         return
     if experiment is None:
         raise click.UsageError("say which EXPERIMENT; --list shows those that ship with fiohost")
-    plan = Experiment.load(experiment)
+    plan = _with_control(Experiment.load(experiment), controller, profile)
 
     from datetime import datetime
 
@@ -63,6 +70,25 @@ def run(
         result = _result(plan, log, bench.transport.name) | {"tick_statistics": bench.statistics.as_dict()}
         _say(out, result, bench.statistics.describe())
     out.json(result)
+
+
+def _with_control(plan: Experiment, controller: str | None, profile: str | None) -> Experiment:
+    """The experiment with a controller file's law, and a bench profile's compensation. Raises ConfigError."""
+    if controller is None and profile is None:
+        return plan
+    if plan.control is None:
+        raise ConfigError(f"experiment {plan.name!r} is an open loop: --controller and --profile go with a closed one")
+
+    from dataclasses import replace
+    from pathlib import Path
+
+    from fiohost.bench.profile import BenchProfile
+    from fiohost.control.settings import ControlSettings
+
+    control = plan.control if controller is None else ControlSettings.load(Path(controller))
+    if profile is not None:
+        control = control.with_compensation(*BenchProfile.load(profile).compensation_pct)
+    return replace(plan, control=control)
 
 
 def _progress(out: Output) -> Any:

@@ -130,6 +130,10 @@ class ControlSettings:
         except OSError as exc:
             raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
 
+    def describe_numbers(self) -> dict[str, float | str]:
+        """Every setting that the kind has, as it is."""
+        return {**self._gains(), **self._compensation()}
+
     def _gains(self) -> dict[str, float | str]:
         """The settings of the controller that its kind has, units in the keys."""
         found: dict[str, float | str] = {"kp_pct_per_deg": self.kp_pct_per_deg}

@@ -1,0 +1,135 @@
+"""``fiohost design``: gains that meet a specification, in simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fiohost.cli.options import parse_number, profile_option
+from fiohost.cli.output import Output, check_writable, json_option, output_for
+from fiohost.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fiohost.control.design import Design
+
+
+@click.command()
+@click.option("--model", required=True, metavar="M", help="Model file (identify or diagnose --save-model), or a name.")
+@click.option("--controller", default="pd", show_default=True, metavar="p|pd|pi|pid", help="Kind of controller.")
+@click.option("--overshoot", default="5", show_default=True, metavar="PCT", help="Largest overshoot.")
+@click.option("--settling", default="0.5", show_default=True, metavar="S", help="Longest settling time.")
+@click.option("--sse", default="1", show_default=True, metavar="DEG", help="Largest steady-state error.")
+@click.option("--band", default="2", show_default=True, metavar="PCT", help="Band of the settling time.")
+@click.option("--steps", default="20,90,180", show_default=True, metavar="DEG,...", help="Sizes of the steps.")
+@click.option("--limit", default="100", show_default=True, metavar="PCT", help="Largest duty.")
+@profile_option
+@click.option("--share", metavar="X", help="Share of the deadband to compensate.  [default: the profile's, else 0.8]")
+@click.option("--counts", metavar="N", help="Errors up to N counts command nothing.  [default: 1 if the error may be]")
+@click.option(
+    "--derivative-on", default="angle", show_default=True, metavar="angle|error", help="What is differentiated."
+)
+@click.option("--sample-time", default="0.005", show_default=True, metavar="S", help="Tick of the loop.")
+@click.option("--save", "save_to", type=click.Path(path_type=Path), metavar="FILE", help="Controller file for run.")
+@click.option("--plot", "plot_to", type=click.Path(path_type=Path), metavar="F", help="Picture of the responses.")
+@json_option
+def design(
+    model: str, controller: str, overshoot: str, settling: str, sse: str, band: str, steps: str, limit: str,
+    profile: str | None, share: str | None, counts: str | None, derivative_on: str, sample_time: str,
+    save_to: Path | None, plot_to: Path | None, json_to: str | None,
+) -> None:  # fmt: skip
+    """Find gains whose step responses meet a specification on a model: with the limit of the duty, friction or
+    deadband, its compensation, encoder counts, and a tick of delay. A specification that cannot be met is said so, with
+    the nearest that can (exit code 0: that is a result).
+
+    \b
+    Examples:
+      fiohost design --model nxt --controller pd --overshoot 5 --settling 0.5 --sse 1
+      fiohost design --model motor.toml --profile bench.toml --save pd.toml --plot pd.png
+      fiohost run square_170_190 --controller pd.toml
+    """
+    out = output_for(json_to)
+    for path in (save_to, plot_to):
+        if path is not None:
+            check_writable(path)
+    numbers = {
+        "overshoot_pct": parse_number("--overshoot", overshoot, 0.001, 500.0, "percent"),
+        "settling_s": parse_number("--settling", settling, 0.001, 60.0, "s"),
+        "sse_deg": parse_number("--sse", sse, 0.001, 360.0, "deg"),
+        "band_pct": parse_number("--band", band, 0.001, 50.0, "percent"),
+        "limit_pct": parse_number("--limit", limit, 0.1, 100.0, "percent"),
+        "sample_time_s": parse_number("--sample-time", sample_time, 1e-4, 1.0, "s"),
+    }
+    sizes = [parse_number("--steps", size.strip(), 0.001, 1e5, "deg") for size in steps.split(",")]
+    part = None if share is None else parse_number("--share", share, 0.0, 1.5)
+    threshold = None if counts is None else parse_number("--counts", counts, 0.0, 100.0)
+    if derivative_on not in ("angle", "error"):
+        raise ConfigError(f"--derivative-on {derivative_on[:40]!r} is neither angle nor error")
+
+    from fiohost.bench.profile import SHARE, BenchProfile
+    from fiohost.control.design import deadband_of, with_deadband
+    from fiohost.control.design import design as run
+    from fiohost.motor.model import Model
+
+    motor = Model.parse(model)
+    if profile is not None:
+        bench = BenchProfile.load(profile)
+        motor = with_deadband(motor, bench.u_plus_pct, bench.u_minus_pct)
+        deadband, usual = (bench.u_plus_pct, bench.u_minus_pct), bench.share
+    else:
+        deadband, usual = deadband_of(motor), SHARE
+    part = usual if part is None else part
+    found = run(
+        motor, controller, steps_deg=sizes, compensation_pct=(part * deadband[0], part * deadband[1]),
+        derivative_on=derivative_on, threshold_counts=threshold, **numbers,
+    )  # fmt: skip
+    say_design(out, found)
+    if save_to is not None:
+        found.settings.save(save_to, f"designed by fiohost for {found.model.expression}")
+        out(f"controller written to {save_to}; fiohost run square_170_190 --controller {save_to}")
+    if plot_to is not None:
+        from fiohost.report.design import plot_design
+        from fiohost.report.identification import save_figure
+
+        save_figure(plot_design(found, f"{controller.upper()} on {found.model.expression}"), plot_to)
+        out(f"plot: {plot_to}")
+    out.json(found.to_json() | {"controller_file": save_to, "plot": plot_to})
+
+
+def say_design(out: Output, found: Design) -> None:
+    """The gains, a table of the responses, and what of the specification is met."""
+    asked = found.asked
+    numbers = found.settings.describe_numbers().items()
+    out(f"{found.settings.kind.upper()} for {found.model.expression}")
+    out(
+        "  "
+        + "\n  ".join(f"{name:<17} {value if isinstance(value, str) else f'{value:.4g}'}" for name, value in numbers)
+    )
+    out("\nstep            overshoot   settling   error      rise")
+    for one in found.found:
+        if one.step_deg > 0.0:
+            figures = f"{one.overshoot_pct:6.2f} %   {one.settling_s:6.3f} s   {one.error_deg:5.2f} deg"
+            out(f"{one.step_deg:8.1f} deg    {figures}  {one.rise_s:6.3f} s")
+    out(f"asked for     < {asked.overshoot_pct:6.2f} % < {asked.settling_s:6.3f} s < {asked.sse_deg:5.2f} deg")
+    off = {name: max(getattr(one, name) for one in found.off) for name in ("overshoot_pct", "settling_s", "error_deg")}
+    out(
+        f"model off       {off['overshoot_pct']:6.2f} %   {off['settling_s']:6.3f} s   {off['error_deg']:5.2f} deg   "
+        "(worst: gain and lag off by 10 %, friction by 20 %, a tick more of delay)"
+    )
+    if found.feasible:
+        robust = ", and on all models that are off" if found.robust else ", but not on all models that are off"
+        out(f"the specification is met on the model{robust}")
+    else:
+        out(
+            f"NOT FEASIBLE: no {found.settings.kind} controller found meets the specification; nearest that can be met:"
+        )
+        for near in found.nearest:
+            spec, gains = near.asked, near.settings.describe_numbers()
+            kept = ", ".join(f"{name} {value:.4g}" for name, value in gains.items() if name[0] == "k")
+            out(
+                f" overshoot < {spec.overshoot_pct:g} %, settling < {spec.settling_s:g} s, error < {spec.sse_deg:g} deg"
+            )
+            out(f"    ({' and '.join(near.gives_way)} give way; {kept})")
+    for note in found.notes:
+        out(f"note: {note}")
