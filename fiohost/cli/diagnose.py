@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,21 @@ import click
 from fiohost.cli.options import parse_seed
 from fiohost.cli.output import check_not_input, check_writable, json_option, make_folder, output_for
 from fiohost.cli.progress import progress
+from fiohost.errors import ConfigError
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG]...")
+@click.option(
+    "--readings",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A readings file, a table of figures instead of logs; repeat it for more.",
+)
 @click.option(
     "--holdout",
     multiple=True,
@@ -44,6 +52,7 @@ if TYPE_CHECKING:
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
+    readings: Sequence[Path],
     holdout: Sequence[Path],
     model: str,
     json_to: str | None,
@@ -53,13 +62,21 @@ def diagnose(
     limits: bool,
     seed: str,
 ) -> None:
-    """Name what a declared model lacks, from logs, and report the error before and after on held-out ones.
+    """Name what a declared model lacks, from logs, and report the error before and after on held-out ones; or from
+    tables of readings.
 
     \b
     Examples:
       fiohost diagnose run1.csv run2.csv --holdout run3.csv --model linear+coulomb_friction
       fiohost diagnose power_*0.csv --holdout power_015.csv --map nxt_open_loop --report out
+      fiohost diagnose --readings responses.toml --model nxt.toml --report out
     """
+    if not logs and not readings:
+        raise click.UsageError("Missing argument 'LOG...', or --readings FILE.")
+    if readings:
+        _refuse_with_readings({"LOG": logs, "--holdout": holdout, "--map": table_map, "--limits": limits})
+        _diagnose_readings(readings, model, json_to, save_model, report, seed)
+        return
     from fiohost.circle.evidence import diagnose as run_diagnosis
     from fiohost.discover.result import to_json
     from fiohost.motor.model import Model
@@ -102,6 +119,50 @@ def diagnose(
         save_plots(report, series, result, curves)
         write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
         say(f"page and plots in {report}")
+
+
+def _refuse_with_readings(given: Mapping[str, object]) -> None:
+    """Refuse what is for logs only. Raises ConfigError."""
+    for name, value in given.items():
+        if value:
+            raise ConfigError(f"{name} does not go with --readings: logs and tables of readings are diagnosed apart")
+
+
+def _diagnose_readings(
+    readings: Sequence[Path], model: str, json_to: str | None, save_model: Path | None, report: Path | None, seed: str
+) -> None:
+    """``diagnose`` on tables of readings."""
+    from fiohost.circle.readings import diagnose_readings
+    from fiohost.discover.tables.evidence import Table
+    from fiohost.report.readings import print_readings, readings_curves
+
+    say = output_for(json_to)
+    drawn = parse_seed(seed) or 0
+    if save_model is not None:
+        check_writable(save_model)
+    for output in (json_to, save_model):
+        check_not_input(output, readings)
+    if report is not None:
+        make_folder(report)
+
+    def announce(tables: Sequence[Table]) -> None:
+        for table in tables:
+            figures = ", ".join(f.name for f in table.figures)
+            say(f"readings  {table.name}: {len(table.rows)} rows of {figures}")
+
+    with progress() as doing:
+        found = diagnose_readings(readings, model, seed=drawn, say=doing, announce=announce)
+    result = found.to_json()
+    print_readings(say.console, result)
+    if save_model is not None:
+        found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(readings)} readings files")
+        say(f"model written to {save_model}")
+    say.json(result)  # before the pictures, so that a full disk does not cost the result
+    if report is not None:
+        from fiohost.report.plots import save_plots
+
+        save_plots(report, [], result, readings_curves(result))
+        say(f"plots in {report}")
 
 
 @click.command()

@@ -221,11 +221,13 @@ def fit_tables(
     evaluations: int = FULL,
     looks: int = 0,
     jumps: float = 0.0,
+    derive: bool = True,
 ) -> TableFit:
     """Fit a model's free parameters, from the values it has; with no evaluations, judge it as it is.
 
     ``looks`` of a simplex are taken beyond the solution, errors beyond ``jumps`` floors weigh little. ``noise`` (one
-    array a row, in floors) fits to what the model itself predicts plus this, in place of the readings.
+    array a row, in floors) fits to what the model itself predicts plus this, in place of the readings. Without
+    ``derive`` the fit has no derivatives, which take one simulation a parameter.
     """
     problem = _Problem(evidence, model, range(len(evidence)))
     x = vector(evidence, model, constants)
@@ -239,16 +241,16 @@ def fit_tables(
     if looks:
         x = problem.settle(x, np.concatenate(measured), looks)
         x = problem.solve(x, np.concatenate(measured), AGAIN)
-    return _fit_at(problem, x, measured)
+    return _fit_at(problem, x, measured, derive)
 
 
-def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray]) -> TableFit:
+def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray], derive: bool) -> TableFit:
     """The figures of a vector as a fit."""
     evidence, k = problem.evidence, len(problem.slots)
     plant, constants = problem.split(x)
     predicted = [evidence.predict(p, plant, constants) for p in problem.places]
     base = [evidence.in_floors(p, y) for p, y in zip(problem.places, predicted, strict=True)]
-    columns = problem.columns(x)
+    columns = problem.columns(x) if derive else np.zeros((sum(len(y) for y in base), len(x)))
     edges = np.cumsum([len(y) for y in base])[:-1]
     residuals = tuple(m - y for m, y in zip(measured, base, strict=True))
     names = dict(zip(problem.names, (float(v) for v in x[:k]), strict=True))

@@ -34,7 +34,7 @@ from fiohost.discover.tables.fit import (
     fit_tables,
     without_row,
 )
-from fiohost.discover.tables.starts import begin
+from fiohost.discover.tables.starts import downhill, held
 from fiohost.discover.verdict import SIGMAS
 from fiohost.discover.workers import each
 from fiohost.identify.intervals import Estimate, estimates
@@ -175,10 +175,15 @@ class Search:
         return able, unable
 
     def refits(self, base: TableFit, offered: Sequence[Effect]) -> list[TableFit | None]:
-        """Fits of all candidates; those far from the best remain rough."""
-        fits = each(lambda item: begin(self.evidence, base, item), offered)
-        least = min((f.cost for f in fits if f is not None), default=0.0)
-        near = [i for i, f in enumerate(fits) if f is not None and f.cost <= FAR * max(least, self.evidence.samples)]
+        """Fits of all candidates, None where one leaves no trace; those far from the best remain rough."""
+        starts = each(lambda item: held(self.evidence, base, item), offered)
+        near = self.near([min((f.cost for f in found), default=np.inf) for found in starts])
+        fits: list[TableFit | None] = [found[0] if found else None for found in starts]
+        ways = [(i, start) for i in near for start in starts[i]]
+        for (i, _), fitted in zip(ways, each(lambda way: downhill(self.evidence, way[1]), ways), strict=True):
+            best = fits[i]
+            fits[i] = fitted if best is None or fitted.cost < best.cost else best
+        near = self.near([np.inf if f is None else f.cost for f in fits])
 
         def full(i: int) -> TableFit:
             rough = fits[i]
@@ -188,6 +193,10 @@ class Search:
         for i, fitted in zip(near, each(full, near), strict=True):
             fits[i] = fitted
         return fits
+
+    def near(self, costs: Sequence[float]) -> list[int]:
+        """Which of these squared errors are not far from the least, or from the floor."""
+        return [i for i, cost in enumerate(costs) if cost <= FAR * max(min(costs), self.evidence.samples)]
 
     def chance(self, base: TableFit, grown: TableFit, tried: int) -> float:
         """Share of the residual's power that the best of all tried takes where only chance is left (beta law)."""
@@ -220,9 +229,9 @@ class Search:
                 found.append(Candidate(item.name, 0.0, "leaves no trace in these figures"))
                 continue
             candidate = Candidate(item.name, 1.0 - grown.cost / max(stage.fit.cost, 1e-300), None)
-            why = self.unbelievable(stage, item, grown, self.chance(stage.fit, grown, len(offered)))
-            if why is None and grown.cost > HOPELESS * least:
-                why = f"leaves {np.sqrt(grown.cost / least):.1f} times the error of the best"
+            why: str | None = f"leaves {np.sqrt(grown.cost / least):.1f} times the error of the best"
+            if grown.cost <= HOPELESS * least:
+                why = self.unbelievable(stage, item, grown, self.chance(stage.fit, grown, len(offered)))
             if why is not None:
                 found.append(replace(candidate, rejected_because=why))
             else:

@@ -16,8 +16,8 @@ from fiohost.discover.tables.fit import Evidence, TableFit, deviations, fit_tabl
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
-POINTS, BEST = 24, 3
-HELD, FREE = 4, 8  # evaluations of a fit with the effect's sizes held, and of all
+POINTS, BEST = 24, 2
+HELD, FREE = 3, 8  # evaluations of a fit with the effect's sizes held, and of all
 SPREAD = 0.5  # logarithm of how far from a trial a size may be
 JUMP_FLOORS = 10.0
 TRACE_FLOORS = 1e-3
@@ -47,36 +47,38 @@ def _with_starts(item: Effect) -> list[dict[str, Value]]:
     return [{**t, **{q.name: q.start for q in found}} for t, found in zero if found]
 
 
-def begin(evidence: Evidence, base: TableFit, item: Effect) -> TableFit | None:
-    """The base model with one effect added, near the best place to fit it from; None where it leaves no trace."""
+def held(evidence: Evidence, base: TableFit, item: Effect) -> list[TableFit]:
+    """The base model with one effect added, the rest fitted to the sizes that it has, from its best trials; none where
+    it leaves no trace.
+    """
     given = [*item.trials, *_with_starts(item)]
     trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
     if max(np.abs(deviations(evidence, m, base.constants) - before).max() for m in trials) <= TRACE_FLOORS:
-        return None
+        return []
     own = [f"{item.name}.{q.name}" for q in item.parameters]
     sizes = [k for k in trials[0].free() if k in own]
 
     def beside(model: Model) -> TableFit:
-        """The rest fitted to the sizes that the effect has."""
-        held = replace(model, fixed=model.fixed | set(own))
-        return fit_tables(evidence, held, constants=base.constants, evaluations=HELD)
+        fixed = replace(model, fixed=model.fixed | set(own))
+        return fit_tables(evidence, fixed, constants=base.constants, evaluations=HELD, derive=False)
 
     def best_around(model: Model) -> TableFit:
         more = spread(model, sizes, max(POINTS // len(trials), 1) - 1) if sizes else []
-        return min((beside(m) for m in (model, *more)), key=lambda f: f.cost)
+        found = min((beside(m) for m in (model, *more)), key=lambda f: f.cost)
+        return replace(found, model=replace(found.model, fixed=model.fixed))
 
-    points = [best_around(model) for model in trials]
-    order = varied(item, [dict(t) for t in given], sorted(range(len(trials)), key=lambda i: points[i].cost))
-    free = trials[0].fixed
+    found = [best_around(model) for model in trials]
+    order = varied(item, [dict(t) for t in given], sorted(range(len(trials)), key=lambda i: found[i].cost))
+    return [found[i] for i in order[:BEST]]
 
-    def downhill(start: TableFit) -> TableFit:
-        """A start followed down, then past the jump of single figures, then down again; the best of the way."""
-        found = [replace(start, model=replace(start.model, fixed=free))]
-        for jumps in (0.0, JUMP_FLOORS, 0.0):
-            last = found[-1]
-            found.append(fit_tables(evidence, last.model, constants=last.constants, evaluations=FREE, jumps=jumps))
-        return min(found[1:], key=lambda f: f.cost)
 
-    near = [downhill(points[i]) for i in order[:BEST]]
-    return min(near, key=lambda f: f.cost)
+def downhill(evidence: Evidence, start: TableFit) -> TableFit:
+    """A start followed down, then past the jump of single figures, then down again; the best of the way."""
+    found = [start]
+    for jumps in (0.0, JUMP_FLOORS, 0.0):
+        last = found[-1]
+        found.append(
+            fit_tables(evidence, last.model, constants=last.constants, evaluations=FREE, jumps=jumps, derive=False)
+        )
+    return min(found, key=lambda f: f.cost)
