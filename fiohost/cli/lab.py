@@ -17,6 +17,7 @@ from fiohost.settings import nearest
 
 # name -> (module:attribute, short help)
 LABS: dict[str, tuple[str, str]] = {
+    "manual": ("fiohost.cli.labs.manual:manual", "Manual control: speed against duty, dead zone, brake and standby."),
     "elevator": ("fiohost.cli.labs.elevator:elevator", "Seven floors under gravity: P, PI, limited power, buttons."),
     "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
 }
