@@ -22,7 +22,7 @@ REPLICAS = 32
 # Drawn in addition where a figure stands just above the first: a tail is not known from so few.
 MORE_REPLICAS = 160
 # The shaft's angle within its count is known to this much at best; a free run this far beyond one count says nothing.
-LEAST_ROOM_COUNTS, LOST_COUNTS = 0.05, 0.5
+LEAST_ROOM_COUNTS, LOST_COUNTS = 0.01, 0.5
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,21 @@ class Floor:
 def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
     """Bounds of how far the shaft may stand from the model's angle, from the residual (n) of its free run.
 
-    Every reading bounds it to one count, so a model that is true leaves little room (set membership). The readings of a
-    closed loop hunt for an edge between two counts: no angle drawn at random would do that. Where the model is too far
-    off to say, any angle within the count is possible.
+    Every reading bounds it to one count, so a model that is true leaves little room (set membership): taken is where
+    the fewest readings contradict. Those of a closed loop hunt for an edge between two counts, which no angle drawn at
+    random would do. Where the model is too far off to say, any angle within the count is possible.
     """
     count = record.quantum
-    low, high = float(residual.max()) - 0.5 * count, float(residual.min()) + 0.5 * count
-    middle, room = 0.5 * (low + high), 0.5 * (high - low)
-    if room < -LOST_COUNTS * count:
+    if float(np.ptp(residual)) > (1.0 + 2.0 * LOST_COUNTS) * count:
         return -0.5 * count, 0.5 * count
-    room = max(room, LEAST_ROOM_COUNTS * count)
+    above, below = np.sort(residual - 0.5 * count), np.sort(residual + 0.5 * count)
+    # Between two neighbouring bounds the number of readings that contradict does not change.
+    edges = np.unique(np.concatenate((above, below)))
+    middles = 0.5 * (edges[:-1] + edges[1:])
+    against = len(above) - np.searchsorted(above, middles) + np.searchsorted(below, middles)
+    best = int(np.argmin(against)) if len(middles) else 0
+    middle = float(middles[best]) if len(middles) else float(edges[0])
+    room = max(0.5 * float(edges[best + 1] - edges[best]) if len(middles) else 0.0, LEAST_ROOM_COUNTS * count)
     return middle - room, middle + room
 
 

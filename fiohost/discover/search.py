@@ -22,6 +22,8 @@ from fiohost.motor.model import Model
 MOST_EFFECTS = 4
 # Something is missing from one-second windows where their power stands by this share above the floor.
 SHOWS = 0.05
+# Where structure remains, names are given only if they explain this share of what the declared model leaves.
+LEAST_OF_ALL = 0.5
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,12 @@ def _reproach(before: Stage, after: Stage) -> str | None:
     return "leaves what stands above the floor in one-second windows as it was"
 
 
+def _explained_share(before: Stage, after: Stage) -> float:
+    """Share of what stood above the floor that is gone, in whole runs or in one-second windows, whichever is more."""
+    pairs = zip(before.powers_above_floor, after.powers_above_floor, strict=True)
+    return max((1.0 - left / was for was, left in pairs if was > 0.0), default=0.0)
+
+
 def select(search: Search, model: Model, from_file: bool) -> Found:
     """Forward selection from a declared model, with deletion after every addition."""
     say, rng = search.context.say, search.context.rng
@@ -150,4 +158,15 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         stage = grown
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         steps.append(Step(winner.effect, stage, evidence, named_with(winner.effect, rivals), rivals))
+    if steps and not stage.at_floor and _explained_share(declared, stage) < LEAST_OF_ALL:
+        say("what was added explains less than half: taken back")
+        return Found((declared,), (), tuple(_taken_back(steps, offered)))
     return Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
+
+
+def _taken_back(steps: Sequence[Step], offered: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates of the last round, and first those that were added but explain too little together."""
+    why = "was added, but all that was explains less than half of what stands above the floor"
+    names = [s.effect for s in steps]
+    back = [Candidate(s.effect, float(str(s.evidence["residual_power_removed"])), why) for s in steps]
+    return [*back, *(c for c in offered if c.effect not in names)]

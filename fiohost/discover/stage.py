@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, replica_models
-from fiohost.discover.metrics import Judgement, judge, pool
+from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit
 from fiohost.discover.workers import each
 from fiohost.identify.fit import Fit
@@ -44,16 +44,24 @@ class Stage:
     @property
     def powers(self) -> tuple[float, float]:
         """Mean squares of free runs and of one-second windows, all records together."""
-        error = pool([j.errors for j in self.judgements])
-        return (error.free_run_rms**2, error.window_rms**2) if error else (0.0, 0.0)
+        return _powers([j.errors for j in self.judgements])
+
+    @property
+    def powers_above_floor(self) -> tuple[float, float]:
+        """The same, without those of the floor."""
+        (free, windows), (free_floor, windows_floor) = self.powers, _powers([f.errors for f in self.floors])
+        return max(free - free_floor, 0.0), max(windows - windows_floor, 0.0)
 
     @property
     def windows_above_floor(self) -> float:
         """Power of the one-second windows, all records together, above that of their floor, as a share of it."""
-        error, floor = pool([j.errors for j in self.judgements]), pool([f.errors for f in self.floors])
-        if error is None or floor is None or floor.window_rms <= 0.0:
-            return 0.0
-        return max((error.window_rms / floor.window_rms) ** 2 - 1.0, 0.0)
+        floor = _powers([f.errors for f in self.floors])[1]
+        return self.powers_above_floor[1] / floor if floor > 0.0 else 0.0
+
+
+def _powers(errors: Sequence[Errors]) -> tuple[float, float]:
+    pooled = pool(errors)
+    return (pooled.free_run_rms**2, pooled.window_rms**2) if pooled else (0.0, 0.0)
 
 
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
