@@ -113,7 +113,8 @@ class MotorConstants:
     def model(self, *, volt_limit_V: float | None = None, current_limit_A: float | None = None) -> Model:
         """The reduced model that the fit uses, with a load that may be set, winding lag, dry friction and limits.
 
-        Its current counts viscous friction as back-emf, so a current limit is off by B w / Ki: 0.04 A at 7.6 rad/s.
+        Its current counts viscous friction as back-emf, so a current limit is off by B w / Ki, 0.04 A at 7.6 rad/s,
+        unless whoever runs it corrects for that (``play_model`` does).
         """
         model = Model(
             values={

@@ -30,7 +30,7 @@ from fiohost.wire.messages import Command
 
 IDEAL_TICK_S = 0.0005
 SMOOTHING_TICKS = 9  # of a target's speed, by a parabola through so many readings: 0.07 rad/s of count noise at 5 ms
-_LOAD = slot("constant_load.level_pct")
+_LOAD, _LIMIT = slot("constant_load.level_pct"), slot("current_limit.limit_pct")
 
 
 class Law(Protocol):
@@ -193,6 +193,8 @@ def play_model(
         law.applied(float(duties[k + 1]))
         if torque is not None:
             p[_LOAD] = -constants.torque_pct(torque.at(times[k]))
+        if limits.amperes is not None:
+            p[_LIMIT] = _limit_pct(constants, float(duties[k]), float(speeds[k]), limits.amperes)
         changed = None if watch is None else watch(float(times[k]), angle)
         if changed is not None:
             p[TAU] = constants.with_inertia(changed).tau_m_s
@@ -202,6 +204,16 @@ def play_model(
     shift = max(round(way.delay_s / way.sample_time_s), 0)
     acting = np.concatenate((np.zeros(shift), duties[1:]))[:n]
     return Run(way.name, times, refs, angles, speeds, acting / constants.pct_per_volt, currents)
+
+
+def _limit_pct(constants: MotorConstants, duty: float, speed: float, limit_A: float) -> float:
+    """A current limit for the reduced model, whose current counts viscous friction as back-emf: what friction takes is
+    added or taken off, by which way the current flows.
+    """
+    forward = duty / constants.pct_per_volt > speed / constants.speed_per_volt
+    friction_A = constants.B_Nms * speed / constants.Kt_Nm_per_A
+    allowed = limit_A - friction_A if forward else limit_A + friction_A
+    return max(100.0 * allowed * constants.R_ohm / constants.supply_V, 0.0)
 
 
 def _current(constants: MotorConstants, state: np.ndarray, duty: float, speed: float, limits: Limits) -> float:
