@@ -6,7 +6,7 @@ shaft starts, and how it comes to rest in brake and in standby.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 UP_PCT = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, 100.0)
+NEAR_START = (0.75, 0.9, 1.1, 1.3)  # more steps, at these shares of the duty at which it starts
 STEP_S = 1.0
 SETTLED = 0.5  # the last share of a step, over which its speed is taken
 MOVING_DEG_S = 1.5  # slower is at rest: a count in half a second
@@ -71,6 +72,10 @@ class Branch:
         gain, offset = np.polyfit(duty[turns], speed[turns], 1)
         return Line(float(gain), float(-offset / gain))
 
+    def sticks(self) -> NDArray[np.bool_]:
+        """Where it stood on the way up and turned on the way down, shape (n,)."""
+        return np.asarray((np.abs(self.up_deg_s) <= MOVING_DEG_S) & (np.abs(self.down_deg_s) > 2.0 * MOVING_DEG_S))
+
     def last_at_rest_pct(self, speed: Array) -> float:
         """The largest duty at which it stood still, with its sign."""
         still = np.flatnonzero(np.abs(speed) <= MOVING_DEG_S)
@@ -84,8 +89,10 @@ class Branch:
 def manual_control(bench: Bench, folder: Path) -> LabResult:
     """The whole observation on one bench; logs go to *folder*. Raises FiohostError where the shaft does not turn."""
     limit = bench.profile.limit_duty_pct
-    ups = tuple(duty for duty in UP_PCT if duty <= limit)
     deadband = measure_deadband(bench, repeats=3, max_pct=limit)
+    start_pct = (deadband.u_plus_pct - deadband.u_minus_pct) / 2.0
+    near = {round(share * start_pct, 1) for share in NEAR_START}
+    ups = tuple(sorted(duty for duty in {*UP_PCT, *near} if duty <= limit))
     stairs_path, rests_path = folder / "manual_staircase.csv", folder / "manual_rests.csv"
     stairs = bench.run(_staircase(ups, bench.sample_time_s), stairs_path)
     forward, reverse = branches(stairs, ups)
@@ -105,6 +112,7 @@ def manual_control(bench: Bench, folder: Path) -> LabResult:
     for way, line in lines.items():
         values[f"{way}_gain_deg_s_per_pct"] = line.gain_deg_s_per_pct
         values[f"{way}_dry_friction_pct"] = line.friction_pct
+    values["sticks_at_pct"] = [duty for b in (forward, reverse) for duty in b.duty_pct[b.sticks()].tolist()]
     return LabResult(
         name="manual",
         title="Manual control: duty, direction bits, angle and speed",
@@ -114,7 +122,7 @@ def manual_control(bench: Bench, folder: Path) -> LabResult:
             _on_modes(forward, reverse, rest_duty, braked, coasted),
             _on_angle(stairs, bench.counts_per_rev),
             _on_deadband(deadband, forward, reverse),
-            _on_friction(lines, deadband),
+            _on_friction(lines, deadband, (forward, reverse)),
         ),
         notes=tuple(deadband.notes()),
         values=values,
@@ -232,18 +240,26 @@ def _on_deadband(deadband: Deadband, forward: Branch, reverse: Branch) -> Answer
     )
 
 
-def _on_friction(lines: Mapping[str, Line], deadband: Deadband) -> Answer:
+def _on_friction(lines: Mapping[str, Line], deadband: Deadband, sides: Sequence[Branch]) -> Answer:
     said = [
         f"{way}: {line.gain_deg_s_per_pct:.2f} deg/s for each percent beyond {line.friction_pct:+.2f} %"
         for way, line in lines.items()
     ]
-    starts = {"forward": deadband.u_plus_pct, "reverse": deadband.u_minus_pct}
-    extra = max(abs(starts[way]) - abs(line.friction_pct) for way, line in lines.items())
-    verdict = (
-        f"It takes up to {extra:.2f} % more to start than to keep turning: static friction above the sliding one."
-        if extra > 0.5
-        else "It starts where the line meets zero speed: no static friction above the sliding one is seen."
-    )
+    starts = (deadband.u_plus_pct, deadband.u_minus_pct)
+    beyond = max(abs(u) - abs(line.friction_pct) for u, line in zip(starts, lines.values(), strict=True))
+    sticking = [duty for branch in sides for duty in branch.duty_pct[branch.sticks()].tolist()]
+    if sticking:
+        shown = ", ".join(f"{duty:+g}" for duty in sticking)
+        verdict = (
+            f"At {shown} % it stood on the way up and turned on the way down: static friction above the sliding one."
+        )
+    elif beyond > 0.5:
+        verdict = (
+            f"It starts {beyond:.1f} % beyond where the line meets zero, at the same duty on both ways: so it is not "
+            "static friction, the line is bent near zero, as with a bridge that opens between its pulses."
+        )
+    else:
+        verdict = "It starts where the line meets zero speed: no static friction above the sliding one is seen."
     return Answer(
         "What do dry and viscous friction do to the speed?",
         f"{'; '.join(said)}. What the line lacks at zero speed is dry (Coulomb) friction: the duty it eats is the same "
