@@ -1,9 +1,10 @@
-"""The deadband sweep: at which duty the shaft starts from rest, in both directions, over several repeats.
+"""The deadband sweep: at which duty the shaft starts from rest, in both directions, over angles and repeats.
 
-Each repeat ramps the duty up from rest until the shaft moves. Movement is more than one count (a shaft at the edge of
-a count flickers by one) that goes on to CONFIRM_COUNTS; a shaft that creeps a little and stops again has not started.
-The start itself is earlier than the first count seen: behind Coulomb friction a ramp of duty moves the shaft as the
-square of time, so the square root of the counts is a straight line whose zero is the start.
+By ramps: the duty goes up slowly from rest until the shaft moves. By steps: ``fiohost.bench.starts``. Movement is more
+than one count (a shaft at the edge of a count flickers by one) that goes on to CONFIRM_COUNTS; a shaft that creeps a
+little and stops again has not started. The start itself is earlier than the first count seen: behind Coulomb friction a
+ramp of duty moves the shaft as the square of time, so the square root of the counts is a straight line whose zero is
+the start.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench
 from fiohost.bench.program import Answer
 from fiohost.errors import ConfigError, DataError
+from fiohost.settings import nearest
 from fiohost.wire.messages import Command
 
 CONFIRM_COUNTS = 10
@@ -31,11 +33,17 @@ LOADED_PCT = 0.05  # a start below this duty says nothing of friction
 UNEVEN_SHARE = 0.3  # of the largest start: beyond it one number for a direction misleads
 TURN_DEG = {True: 137.5, False: 60.0}  # between repeats; what remains, 77.5, spreads the starts over the turn
 TURN_LIMIT_S = 3.0
+PLAY_DEG = 20.0  # a turn shorter than this may not take up the play
+PLACE_LIMIT_S = 12.0  # to a place of the turn it may be all the way round
+METHODS = ("ramp", "steps")
 
 
 @dataclass(frozen=True)
 class Onset:
-    """One start from rest. Series of shape (n,): seconds, percent as acting at that time, degrees from rest."""
+    """One start from rest. Series of shape (n,): seconds, percent as acting at that time, degrees from rest.
+
+    ``place_deg`` is the angle that the shaft was to be at, where the sweep has places.
+    """
 
     forward: bool
     duty_pct: float  # signed
@@ -44,6 +52,7 @@ class Onset:
     time_s: NDArray[np.float64]
     duty_acting_pct: NDArray[np.float64]
     moved_deg: NDArray[np.float64]
+    place_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,7 @@ class Deadband:
     """All starts of a sweep, in the order they were made."""
 
     onsets: tuple[Onset, ...]
+    method: str = METHODS[0]
 
     def duties(self, forward: bool) -> list[float]:
         return [o.duty_pct for o in self.onsets if o.forward == forward]
@@ -70,10 +80,31 @@ class Deadband:
         found = self.duties(forward)
         return statistics.stdev(found) if len(found) > 1 else 0.0
 
+    def places(self, forward: bool) -> dict[float, list[float]]:
+        """Starts by place of the turn, in degrees; empty for a sweep without places."""
+        found: dict[float, list[float]] = {}
+        for onset in self.onsets:
+            if onset.forward == forward and onset.place_deg is not None:
+                found.setdefault(onset.place_deg, []).append(onset.duty_pct)
+        return dict(sorted(found.items()))
+
+    def spread_over_angle_pct(self, forward: bool) -> float | None:
+        """Standard deviation of the means of the places; None for fewer than two."""
+        means = [statistics.fmean(duties) for duties in self.places(forward).values()]
+        return statistics.stdev(means) if len(means) > 1 else None
+
+    def spread_over_repeats_pct(self, forward: bool) -> float | None:
+        """Standard deviation of repeats at one place, pooled over the places; None without repeats."""
+        groups = [duties for duties in self.places(forward).values() if len(duties) > 1]
+        if not groups:
+            return None
+        free = sum(len(g) - 1 for g in groups)
+        return math.sqrt(sum(statistics.variance(g) * (len(g) - 1) for g in groups) / free)
+
     def notes(self) -> list[str]:
         """Sentences on what makes a single pair of numbers doubtful."""
         said = []
-        for forward, way in ((True, "forward"), (False, "in reverse")):
+        for forward, way in ((True, _way(True)), (False, _way(False))):
             found = [abs(duty) for duty in self.duties(forward)]
             if min(found) < LOADED_PCT:
                 said.append(f"the shaft starts {way} at almost no duty: nothing holds it there, or a load turns it")
@@ -93,6 +124,8 @@ class Deadband:
                 f"{side}_pct": statistics.fmean(found),
                 f"{side}_spread_pct": self.spread_pct(forward),
                 f"{side}_range_pct": [min(found), max(found)],
+                f"{side}_spread_over_angle_pct": self.spread_over_angle_pct(forward),
+                f"{side}_spread_over_repeats_pct": self.spread_over_repeats_pct(forward),
             }
         repeats = [
             {
@@ -100,10 +133,17 @@ class Deadband:
                 "onset_duty_pct": o.duty_pct,
                 "at_angle_deg": o.at_angle_deg,
                 "onset_s": o.onset_s,
+                "place_deg": o.place_deg,
             }
             for o in self.onsets
         ]
-        return {"schema": "fiohost.deadband/1", **sides, "repeats": repeats, "notes": self.notes()}
+        return {
+            "schema": "fiohost.deadband/1",
+            "method": self.method,
+            **sides,
+            "repeats": repeats,
+            "notes": self.notes(),
+        }
 
 
 def measure_deadband(
@@ -111,24 +151,41 @@ def measure_deadband(
     repeats: int = 5,
     max_pct: float = 100.0,
     progress: Callable[[Onset], None] | None = None,
+    *,
+    method: str = METHODS[0],
+    angles: int = 0,
 ) -> Deadband:
-    """Sweep both directions *repeats* times. Raises DataError where the shaft does not start or turns the wrong way."""
-    if repeats < 1 or not 1.0 <= max_pct <= 100.0:
-        raise ConfigError("a deadband sweep needs at least one repeat and a largest duty of 1 to 100 %")
+    """Sweep both directions *repeats* times, each time at so many *angles* evenly over the turn, or (0) wherever the
+    shaft has been turned on to. Raises DataError where the shaft does not start or turns the wrong way.
+    """
+    if repeats < 1 or not 1.0 <= max_pct <= 100.0 or not 0 <= angles <= 360:
+        raise ConfigError("a deadband sweep needs one repeat or more, a largest duty of 1 to 100 %, 0 to 360 angles")
+    if method not in METHODS:
+        raise ConfigError(f"unknown method {method!r}; {nearest(method, METHODS)}")
+
+    def start(forward: bool, from_pct: float) -> Onset:
+        if method == "steps":
+            from fiohost.bench.starts import step_until_it_starts
+
+            return step_until_it_starts(bench, forward, from_pct, max_pct)
+        return _ramp(bench, forward, from_pct, FINE_PCT_PER_S, max_pct)
+
     begin = {forward: _coarse(bench, forward, max_pct) for forward in (True, False)}  # where the slow ramps begin
+    places: list[float | None] = [360.0 * i / angles for i in range(angles)] or [None]
     onsets = []
-    for _ in range(repeats):
+    for place in [place for _ in range(repeats) for place in places]:
         for forward in (True, False):
-            _turn_on(bench, forward, begin[forward], max_pct)
-            onset = _ramp(bench, forward, begin[forward], FINE_PCT_PER_S, max_pct)
+            _turn_on(bench, forward, begin[forward], max_pct, place)
+            onset = start(forward, begin[forward])
             if onset.onset_s < 0.2 and begin[forward] > 0.0:  # it moved at once: here it starts below our beginning
                 begin[forward] = 0.0
-                onset = _ramp(bench, forward, 0.0, FINE_PCT_PER_S, max_pct)
+                onset = start(forward, 0.0)
             begin[forward] = min(0.8 * abs(onset.duty_pct), begin[forward] or math.inf)
+            onset = replace(onset, place_deg=place)
             onsets.append(onset)
             if progress is not None:
                 progress(onset)
-    return Deadband(tuple(onsets))
+    return Deadband(tuple(onsets), method)
 
 
 def _coarse(bench: Bench, forward: bool, max_pct: float) -> float:
@@ -137,23 +194,28 @@ def _coarse(bench: Bench, forward: bool, max_pct: float) -> float:
     return max(0.0, 0.7 * found - 1.0)
 
 
-def _turn_on(bench: Bench, forward: bool, begin_pct: float, max_pct: float) -> None:
-    """Turn the shaft on in the direction of the sweep: the gears lie against their play, at another angle."""
+def _turn_on(bench: Bench, forward: bool, begin_pct: float, max_pct: float, place_deg: float | None) -> None:
+    """Turn the shaft on in the direction of the sweep: gears against their play, at another angle or a place."""
     duty_pct = min(max_pct, 1.5 * begin_pct + 12.0)
     command = Command.drive(duty_pct if forward else -duty_pct)
-    bench.play(_TurnBy(command, TURN_DEG[forward], round(TURN_LIMIT_S / bench.sample_time_s)))
+    limit_s = TURN_LIMIT_S if place_deg is None else PLACE_LIMIT_S
+    bench.play(_TurnBy(command, TURN_DEG[forward], place_deg, round(limit_s / bench.sample_time_s)))
 
 
 class _TurnBy:
-    """One command until the shaft has turned by an angle, or for so many ticks."""
+    """One command until the shaft has turned by an angle, or to a place of the turn, or for so many ticks."""
 
-    def __init__(self, command: Command, angle_deg: float, ticks: int) -> None:
-        self._command, self._angle_deg, self._ticks = command, angle_deg, ticks
+    def __init__(self, command: Command, angle_deg: float, place_deg: float | None, ticks: int) -> None:
+        self._command, self._angle_deg, self._place_deg, self._ticks = command, angle_deg, place_deg, ticks
         self._begin_deg: float | None = None
 
     def step(self, k: int, angle_deg: float) -> Answer | None:
         if self._begin_deg is None:
             self._begin_deg = angle_deg
+            if self._place_deg is not None:
+                way = self._place_deg - angle_deg
+                turn = (way if self._command.duty_pct > 0.0 else -way) % 360.0
+                self._angle_deg = turn if turn >= PLAY_DEG else turn + 360.0
         done = abs(angle_deg - self._begin_deg) >= self._angle_deg or k >= self._ticks
         return None if done else (self._command, None)
 
@@ -161,18 +223,29 @@ class _TurnBy:
 def _ramp(bench: Bench, forward: bool, begin_pct: float, rate_pct_per_s: float, max_pct: float) -> Onset:
     program = _RampUp(bench, forward, begin_pct, rate_pct_per_s, max_pct)
     log = bench.play(program)
-    way = "forward" if forward else "in reverse"
     if program.wrong_way:
-        raise DataError(
-            f"the shaft turns against the duty when driven {way}: swap the motor's wires or the encoder's channels, "
-            "or take the load off that turns it"
-        )
+        raise turns_the_wrong_way(forward)
     if not program.started:
-        raise DataError(
-            f"the shaft does not start {way} up to {max_pct:g} %: check the supply, the wiring and the pull-ups of "
-            "C3 and C4 (without them the motor coasts in every setting)"
-        )
+        raise does_not_start(forward, max_pct)
     return _onset(log, program, forward)
+
+
+def turns_the_wrong_way(forward: bool) -> DataError:
+    return DataError(
+        f"the shaft turns against the duty when driven {_way(forward)}: swap the motor's wires or the encoder's "
+        "channels, or take the load off that turns it"
+    )
+
+
+def does_not_start(forward: bool, max_pct: float) -> DataError:
+    return DataError(
+        f"the shaft does not start {_way(forward)} up to {max_pct:g} %: check the supply, the wiring and the pull-ups "
+        "of C3 and C4 (without them the motor coasts in every setting)"
+    )
+
+
+def _way(forward: bool) -> str:
+    return "forward" if forward else "in reverse"
 
 
 class _RampUp:
