@@ -20,7 +20,7 @@ from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
 def text(name: str) -> str:
@@ -122,7 +122,9 @@ def test_every_command_shown_exists_with_its_options(where: str, line: str) -> N
     name, *words = re.split(r"[;|>]", line.partition("fiohost ")[2])[0].split()
     assert name in COMMANDS, f"{where}: {line}"
     command = cli.get_command(click.Context(cli), name)
-    assert command is not None
+    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+        command = command.get_command(click.Context(command), words.pop(0))
+    assert command is not None, f"{where}: {line}"
     known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     assert {word for word in words if word.startswith("-") and not word[1:2].isdigit()} <= known, f"{where}: {line}"
 

@@ -119,9 +119,9 @@ class View:
         self._lines: list[Line2D] = []
         charts: list[Axes] = []
         for i, (label, low, high) in enumerate(rows):
-            axes = self.figure.add_axes((0.415, 0.715 - 0.205 * i, RIGHT - 0.415, 0.18))
+            axes = self.figure.add_axes((0.425, 0.715 - 0.205 * i, RIGHT - 0.425, 0.18))
             axes.set(xlim=(-SPAN_S, 0.0), ylim=(low, high), ylabel=label)
-            axes.yaxis.set_label_coords(-0.085, 0.5)
+            axes.yaxis.set_label_coords(-0.095, 0.5)
             axes.tick_params(labelsize=9, labelbottom=i == len(rows) - 1)
             (line,) = axes.plot([], [], color=(INK, BEFORE, AFTER)[i], linewidth=1.5)
             self._lines.append(line)
@@ -137,7 +137,9 @@ class View:
         self._slider = Slider(axes, "", -limit, limit, valinit=0.0, valstep=1.0, initcolor="none")
         self._slider.valtext.set_visible(False)
         self._slider.poly.set_visible(False)
-        self._fill = Rectangle((0.0, 0.25), 0.0, 0.5)  # from zero, to the side it drives
+        self._fill = Rectangle(
+            (0.0, 0.25), 0.0, 0.5, transform=axes.get_xaxis_transform()
+        )  # from zero, to the side it drives
         axes.add_patch(self._fill)
         self._slider.drawon = False
         self._slider.on_changed(lambda value: self._act("duty", float(value)))
