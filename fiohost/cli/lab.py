@@ -19,6 +19,25 @@ from fiohost.settings import nearest
 LABS: dict[str, tuple[str, str]] = {
     "manual": ("fiohost.cli.labs.manual:manual", "Manual control: speed against duty, dead zone, brake and standby."),
     "elevator": ("fiohost.cli.labs.elevator:elevator", "Seven floors under gravity: P, PI, limited power, buttons."),
+    "problems": ("fiohost.cli.labs.problems:problems", "The text's problems D-1 to D-19, answered by computation."),
+    "open-loop-step": (
+        "fiohost.cli.labs.control_lab:open_loop_step",
+        "Steps of voltage: speed, lag, friction, inertia.",
+    ),
+    "open-loop-sine": (
+        "fiohost.cli.labs.control_lab:open_loop_sine",
+        "Gain, phase and Bode plot; a calculator on a log.",
+    ),
+    "speed-control": ("fiohost.cli.labs.control_lab:speed_control", "Speed by P and PI, a gear head, a disturbance."),
+    "position-control": ("fiohost.cli.labs.control_lab:position_control", "Position by P, PI and PID; a PI designed."),
+    "design-project": ("fiohost.cli.labs.control_lab:design_project", "The arm that drops its payload into a cup."),
+    "steps": ("fiohost.cli.labs.control_lab:steps", "Steps 1 to 25 of the control lab, each answered."),
+    "precompensation": (
+        "fiohost.cli.labs.precompensation:precompensation",
+        "Deadband compensation against jitter and limit cycles.",
+    ),
+    "identification": ("fiohost.cli.labs.identification:identification", "K and tau from a closed loop, two ways."),
+    "design": ("fiohost.cli.labs.design:design", "PD control to a specification: simulated, then run."),
     "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
 }
 

@@ -17,6 +17,7 @@ STYLES: dict[str, dict[str, Any]] = {
     "target": {"linestyle": "-", "linewidth": 3.2, "alpha": 0.4, "zorder": 2},
     "model": {"linestyle": (0, (5, 2)), "linewidth": 1.5, "zorder": 4},
     "ideal": {"linestyle": (0, (1, 1.5)), "linewidth": 1.3, "zorder": 3},
+    "plain": {"linestyle": "-", "linewidth": 1.6},
     "reference": {"linestyle": "-", "linewidth": 0.9, "alpha": 0.8},
     "points": {"linestyle": "none", "marker": "o", "markersize": 5.5},
     "crosses": {"linestyle": "none", "marker": "x", "markersize": 6.5, "markeredgewidth": 1.6},

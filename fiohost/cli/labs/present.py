@@ -33,6 +33,11 @@ def report_folder(report: str) -> Path:
 
 def present(result: LabResult, out: Output, folder: Path) -> None:
     """Print a result, save its pictures as ``FOLDER/NAME.png``, write its JSON."""
+    out.json(show(result, out, folder))
+
+
+def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
+    """Print a result and save its pictures; gives what its JSON is, for a command that has several."""
     out(f"{result.title}  [{result.target}]")
     for table in result.tables:
         _print_table(table, out)
@@ -50,7 +55,7 @@ def present(result: LabResult, out: Output, folder: Path) -> None:
         files[name] = str(path)
     for role, name in files.items():
         out(f"{role}: {name}")
-    out.json({**result.to_json(), "files": files})
+    return {**result.to_json(), "files": files}
 
 
 def cell_text(cell: Cell) -> str:

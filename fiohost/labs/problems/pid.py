@@ -1,0 +1,186 @@
+"""Problems D-18 and D-19: a PID controller that takes the effect of a load away, with a given overshoot.
+
+An integral in a loop that already integrates makes the integral of the error of a step zero, so some overshoot is
+certain; the two overshoots asked for are those of a pair of poles with a damping of 1/sqrt(2) and 3/4 (4.32, 2.84 %).
+Two answers are given. The PID of the text, all parts on the error but the derivative: KP as large as the voltage
+allows, and of all (KI, KD) with that overshoot the one with the largest KI, since the integral of what a load does is
+T R/(Ki KI). And the same controller whose proportional part does not see the step of the reference (set-point
+weighting; Astrom and Hagglund, Advanced PID Control, section 3.4): its overshoot is that of its poles alone, so the
+integral may be as fast as the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from fiohost.control.metrics import step_figures
+from fiohost.errors import DataError
+from fiohost.labs.constants import MotorConstants
+from fiohost.labs.problems.answer import Numbers, angle_and_volts, motor_of, solved
+from fiohost.labs.problems.servo import POSITION, FloatArray, Response, Servo
+from fiohost.labs.result import LabResult, Table
+
+THIRD_POLE = 2.0  # of the design by poles, as a multiple of the pair's frequency
+LEAST_KI = 1e-3
+KD_RANGE = (0.02, 2.0)
+
+
+ROWS = ("KP (V/rad)", "KI (V/(rad s))", "KD (V s/rad)", "overshoot (%)", "rise (s)", "settled to 2 % (s)",
+        "largest voltage (V)", "load turns it by (rad)", "back within 2 % (s)")  # fmt: skip
+
+
+class Gains(NamedTuple):
+    """V/rad, V/(rad s), V s/rad; ``weight`` of the reference in the proportional part."""
+
+    kp: float
+    ki: float
+    kd: float
+    weight: float = 1.0
+
+
+def d18(n: Numbers) -> LabResult:
+    return _designed(18, n)
+
+
+def d19(n: Numbers) -> LabResult:
+    return _designed(19, n)
+
+
+def loop_poles(motor: MotorConstants, gains: Gains) -> FloatArray:
+    """Coefficients of the closed loop's polynomial, the highest power first: four where there is inductance."""
+    R, L, K, J, B = motor.R_ohm, motor.L_H, motor.Kt_Nm_per_A, motor.J_kgm2, motor.B_Nms
+    found = np.array([L * J, R * J + L * B, R * B + K * (motor.Ke_Vs_per_rad + gains.kd), K * gains.kp, K * gains.ki])
+    return found if L > 0.0 else found[1:]
+
+
+def overshoot_pct(motor: MotorConstants, gains: Gains, seconds: float) -> float:
+    """Overshoot of a step of the reference, by partial fractions; endless where the loop is not stable."""
+    K, polynomial = motor.Kt_Nm_per_A, loop_poles(motor, gains)
+    poles = np.roots(polynomial)
+    if (poles.real >= 0.0).any():
+        return float("inf")
+    times = np.linspace(0.0, seconds, 4001)
+    shares = np.polyval([K * gains.weight * gains.kp, K * gains.ki], poles) / (
+        poles * np.polyval(np.polyder(polynomial), poles)
+    )
+    return float(100.0 * np.max((shares @ np.exp(np.outer(poles, times))).real))
+
+
+def on_error(motor: MotorConstants, n: Numbers) -> Gains:
+    """The text's PID with the overshoot asked for. Raises DataError where none has it."""
+    kp = n["largest_V"] / n["ref_rad"]
+
+    def with_kd(kd: float) -> Gains | None:
+        def over(ki: float) -> float:
+            return min(overshoot_pct(motor, Gains(kp, ki, kd), n["seconds"]), 1e3) - n["overshoot_pct"]
+
+        if over(LEAST_KI) >= 0.0:
+            return None
+        return Gains(kp, float(brentq(over, LEAST_KI, 1e3 * kp, xtol=1e-6)), kd)
+
+    def cost(log_kd: float) -> float:
+        found = with_kd(float(np.exp(log_kd)))
+        return 0.0 if found is None else -found.ki
+
+    tried = np.linspace(np.log(KD_RANGE[0]), np.log(KD_RANGE[1]), 24)
+    first = int(np.argmin([cost(x) for x in tried]))
+    low, high = tried[max(first - 1, 0)], tried[min(first + 1, len(tried) - 1)]
+    best = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
+    found = with_kd(float(np.exp(best.x if best.fun < cost(tried[first]) else tried[first])))
+    if found is None:
+        raise DataError(f"no PID with kp = {kp:g} V/rad has an overshoot of {n['overshoot_pct']:g} %: change largest_V")
+    return found
+
+
+def by_poles(motor: MotorConstants, n: Numbers) -> Gains:
+    """The design with weight 0: a pair of poles, a third one beyond it, the rest where it must be; the pair's damping
+    is what gives the overshoot. Raises DataError where no damping does.
+    """
+    omega = n["omega_rad_s"]
+    given = loop_poles(motor, Gains(0.0, 0.0, 0.0))
+    third = THIRD_POLE * omega
+
+    def placed(zeta: float) -> Gains:
+        wanted = np.polymul([1.0, 2.0 * zeta * omega, omega * omega], [1.0, third])
+        if motor.L_H > 0.0:
+            wanted = np.polymul(wanted, [1.0, given[1] / given[0] - 2.0 * zeta * omega - third])
+        wanted = wanted * given[0]
+        K = motor.Kt_Nm_per_A
+        return Gains(float(wanted[-2] / K), float(wanted[-1] / K), float((wanted[-3] - given[-3]) / K), 0.0)
+
+    def over(zeta: float) -> float:
+        return min(overshoot_pct(motor, placed(zeta), n["seconds"]), 1e3) - n["overshoot_pct"]
+
+    if over(0.2) < 0.0 or over(1.5) > 0.0:
+        raise DataError(f"no such poles have an overshoot of {n['overshoot_pct']:g} %: change omega_rad_s")
+    return placed(float(brentq(over, 0.2, 1.5, xtol=1e-6)))
+
+
+def _designed(number: int, n: Numbers) -> LabResult:
+    motor = motor_of(n)
+    designs = {"PID on the error": on_error(motor, n), "P on the angle": by_poles(motor, n)}
+    steps, loads = {}, {}
+    rows: list[list[Any]] = []
+    for name, gains in designs.items():
+        servo = Servo(motor, n["ref_rad"], POSITION, gains.kp, gains.ki, gains.kd, gains.weight)
+        step = steps[name] = servo.run(n["seconds"])
+        load = loads[name] = replace(servo, load_Nm=n["load_Nm"], load_from_s=n["load_from_s"]).run(n["seconds"])
+        f = step_figures(step.time_s, step.angle, 0.0, n["ref_rad"])
+        over = 100.0 * (float(step.angle.max()) / n["ref_rad"] - 1.0)
+        sag, back_s = _after_load(load, n)
+        rows.append(
+            [gains.kp, gains.ki, gains.kd, over, f.rise_s, f.settling_2_s, float(step.volts.max()), sag, back_s]
+        )
+    (plain, other), (first, second) = designs.values(), rows
+    back = [f"{row[8]:.3g} s" if row[8] is not None else f"not within {n['seconds']:g} s" for row in rows]
+    answers = [
+        (
+            f"Which PID takes the load away with {n['overshoot_pct']:g} % of overshoot?",
+            f"KP = {plain.kp:.4g}, KI = {plain.ki:.4g}, KD = {plain.kd:.4g}: overshoot {first[3]:.3g} %, error at "
+            "the end 0 whatever "
+            f"the load. A load of {n['load_Nm']:g} N m turns the shaft by {first[7]:.3g} rad and is taken away in "
+            f"{back[0]}: slow, "
+            "since with all of the PID on the error only a slow integral overshoots so little.",
+        ),
+        (
+            "Is there a faster one?",
+            f"With the proportional part on the angle alone: KP = {other.kp:.4g}, KI = {other.ki:.4g}, KD = "
+            f"{other.kd:.4g} have the same "
+            f"overshoot, {second[3]:.3g} %, and take the load away in {back[1]}.",
+        ),
+    ]
+    notes = [
+        f"The text leaves open the form of the PID, the size of the step ({n['ref_rad']:g} rad here) and the limits: "
+        "KP asks "
+        f"for {n['largest_V']:g} V at most in the moment of the step.",
+        "Some overshoot is certain: with the integral the loop integrates twice, and then the error of a step has a "
+        "mean of 0.",
+    ]
+    table = Table("Two designs", ("", *designs), list(zip(ROWS, *rows, strict=True)))
+    values: dict[str, Any] = {
+        name: {**gains._asdict(), "overshoot_pct": row[3], "load_turns_rad": row[7], "load_gone_s": row[8]}
+        for (name, gains), row in zip(designs.items(), rows, strict=True)
+    }
+    about = f"PID that removes a load, overshoot {n['overshoot_pct']:g} %"
+    pictures = partial(
+        angle_and_volts, {f"{name}, load at {n['load_from_s']:g} s": run for name, run in loads.items()}, n["ref_rad"]
+    )
+    return solved(number, about, answers, values, pictures, [table], notes)
+
+
+def _after_load(run: Response, n: Numbers) -> tuple[float, float | None]:
+    """How far a load turns the shaft, and when it is back within 2 % of the step; times from the load."""
+    after = run.time_s >= n["load_from_s"]
+    error = np.abs(run.angle[after] - n["ref_rad"])
+    outside = np.flatnonzero(error > 0.02 * n["ref_rad"])
+    sag = float(error.max())
+    if not outside.size:
+        return sag, 0.0
+    if outside[-1] + 1 == len(error):
+        return sag, None
+    return sag, float(run.time_s[after][outside[-1]]) - n["load_from_s"]

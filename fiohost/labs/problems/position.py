@@ -1,0 +1,179 @@
+"""Problems D-12 to D-17: the angle under P and PD control, with and without a load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fiohost.control.metrics import step_figures
+from fiohost.labs.problems.answer import Numbers, angle_and_volts, motor_of, solved
+from fiohost.labs.problems.servo import POSITION, Response, Servo
+from fiohost.labs.result import Cell, LabResult, Table
+
+GAINS = (0.1, 0.2, 0.5, 1.0, 2.0)
+DERIVATIVE_GAINS = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
+COLUMNS = ("overshoot (%)", "peak at (s)", "settled 5 % (s)", "rise (s)", "ITAE (rad s2)")
+
+
+def servo(n: Numbers, kp: float, kd: float = 0.0, load_Nm: float = 0.0) -> Servo:
+    """The position loop of Fig. D-26 around the motor of D-1."""
+    return Servo(motor_of(n), n["ref_rad"], POSITION, kp, kd=kd, amplifier=n["amplifier"], load_Nm=load_Nm)
+
+
+def d12(n: Numbers) -> LabResult:
+    run = servo(n, n["kp"]).run(n["seconds"])
+    f = step_figures(run.time_s, run.angle, 0.0, n["ref_rad"])
+    peak = float(run.angle.max())
+    answers = [
+        (
+            "(a) Steady position",
+            f"{n['ref_rad']:.4g} rad: without load the loop rests only where the error is 0. At {n['seconds']:g} s "
+            "it is at "
+            f"{run.angle[-1]:.4g} rad",
+        ),
+        ("(b) Largest rotation", f"{peak:.4g} rad, {100.0 * (peak / n['ref_rad'] - 1.0):.3g} % over"),
+        ("(c) When", f"{f.peak_s:.4g} s after the step"),
+    ]
+    values = {"steady_position_rad": n["ref_rad"], "largest_rotation_rad": peak, "peak_s": f.peak_s}
+    about = "position under P control"
+    return solved(
+        12, about, answers, values, partial(angle_and_volts, {f"kp {n['kp']:g}": run}, n["ref_rad"]), notes=[_LOOP]
+    )
+
+
+def d13(n: Numbers) -> LabResult:
+    run = servo(n, n["kp"]).run(n["seconds"])
+    f = step_figures(run.time_s, run.angle, 0.0, n["ref_rad"])
+    peak = float(run.angle.max())
+    answers = [
+        ("(a) When is the largest rotation?", f"{f.peak_s:.4g} s after the step"),
+        ("(b) Largest rotation", f"{peak:.4g} rad, {100.0 * (peak / n['ref_rad'] - 1.0):.3g} % over"),
+    ]
+    values = {"largest_rotation_rad": peak, "peak_s": f.peak_s}
+    pictures = partial(angle_and_volts, {f"kp {n['kp']:g}": run}, n["ref_rad"])
+    return solved(13, "a larger gain", answers, values, pictures, notes=[_LOOP])
+
+
+def d14(n: Numbers) -> LabResult:
+    most = n["most_overshoot_pct"]
+    runs = {f"kp {kp:g}": servo(n, kp).run(n["seconds"]) for kp in GAINS}
+    rows = _rows(runs, n)
+    allowed = [row for row in rows if row[1] <= most]
+    best = min(allowed, key=lambda row: row[-1])[0] if allowed else "none"
+    fine = gain_with_overshoot(n)
+    answers = [
+        (
+            "Which gain is best?",
+            f"Of these {best}: the least time-weighted error (ITAE) of those that overshoot by {most:g} % at most. "
+            + (f"Of all gains kp = {fine:.3g}, which overshoots by just that. " if fine else "")
+            + "Smaller ones creep, larger ones swing.",
+        )
+    ]
+    values = {"best": best, "kp_with_that_overshoot": fine, "itae_rad_s2": {row[0]: row[-1] for row in rows}}
+    pictures = partial(angle_and_volts, _until(runs, 3.0), n["ref_rad"])
+    return solved(14, "position, five gains", answers, values, pictures, [_table(rows)], [_LOOP])
+
+
+def d15(n: Numbers) -> LabResult:
+    runs = _by_kd(n, 0.0)
+    rows = _rows(runs, n)
+    best = min(rows, key=lambda row: row[-1])[0]
+    answers = [
+        (
+            "What does the derivative do, and which KD is good?",
+            f"It damps: with kp {n['kp']:g} the overshoot falls from {rows[0][1]:.3g} % to {rows[-1][1]:.3g} % as kd grows; "
+            f"beyond some kd the shaft only gets slower. Least time-weighted error (ITAE): {best}. The steady error without "
+            "load stays 0.",
+        )
+    ]
+    values = {"best": best, "itae_rad_s2": {r[0]: r[-1] for r in rows}, "overshoot_pct": {r[0]: r[1] for r in rows}}
+    pictures = partial(angle_and_volts, _until(runs, 1.0), n["ref_rad"])
+    return solved(15, "position under PD control", answers, values, pictures, [_table(rows)], [_LOOP, _ON_ANGLE])
+
+
+def d16(n: Numbers) -> LabResult:
+    return _loaded(16, n)
+
+
+def d17(n: Numbers) -> LabResult:
+    return _loaded(17, n)
+
+
+def gain_with_overshoot(n: Numbers) -> float | None:
+    """The gain between the smallest and the largest of D-14 that overshoots by as much as is allowed."""
+    from scipy.optimize import brentq
+
+    def over(log_kp: float) -> float:
+        run = servo(n, float(np.exp(log_kp))).run(3.0)
+        return 100.0 * (float(run.angle.max()) / n["ref_rad"] - 1.0) - n["most_overshoot_pct"]
+
+    low, high = np.log(GAINS[0]), np.log(GAINS[-1])
+    return float(np.exp(brentq(over, low, high, xtol=1e-3))) if over(low) < 0.0 < over(high) else None
+
+
+def itae(run: Response, ref: float) -> float:
+    """Integral of time times the error's size."""
+    return float(np.trapezoid(run.time_s * np.abs(ref - run.angle), run.time_s))
+
+
+def _loaded(number: int, n: Numbers) -> LabResult:
+    """D-15 with a load from the beginning."""
+    load, kp = n["load_Nm"], n["kp"]
+    runs = _by_kd(n, load)
+    motor = motor_of(n)
+    expected = -load * motor.R_ohm / (motor.Kt_Nm_per_A * kp * n["amplifier"])
+    ends = {name: float(run.angle[-1]) for name, run in runs.items()}
+    errors = {name: n["ref_rad"] - end for name, end in ends.items()}
+    shown: list[list[Cell]] = [[row[0], ends[row[0]], errors[row[0]], *row[3:-1]] for row in _rows(runs, n)]
+    answers = [
+        (
+            "What does the load do, and what does KD do about it?",
+            f"It leaves an error of T R/(Ki KP) = {expected:.4g} rad, whatever kd is: the shaft comes to rest at "
+            f"{n['ref_rad'] - expected:.4g} rad instead of {n['ref_rad']:g}. The derivative shapes the way there only.",
+        )
+    ]
+    if expected > n["ref_rad"]:
+        text = "The load is stronger than the loop at standstill: the shaft is driven back behind where it began."
+        answers.append(("Why does it turn backwards?", text))
+    values: dict[str, Any] = {"expected_error_rad": expected, "error_rad_by_kd": errors}
+    table = Table("By gain", ("gain", "at the end (rad)", "error (rad)", *COLUMNS[2:-1]), shown)
+    note = "The text does not say when the load begins: taken from the beginning."
+    pictures = partial(angle_and_volts, _until(runs, 1.5), n["ref_rad"])
+    return solved(number, f"D-15 with a load of {load:g} N m", answers, values, pictures, [table], [note, _ON_ANGLE])
+
+
+def _by_kd(n: Numbers, load_Nm: float) -> dict[str, Response]:
+    return {f"kd {kd:g}": servo(n, n["kp"], kd, load_Nm).run(n["seconds"]) for kd in DERIVATIVE_GAINS}
+
+
+def _until(runs: Mapping[str, Response], seconds: float) -> dict[str, Response]:
+    """The beginning of some runs, for a picture."""
+    return {name: run.until(seconds) for name, run in runs.items()}
+
+
+def _rows(runs: Mapping[str, Response], n: Numbers) -> list[list[Any]]:
+    """Name and COLUMNS; the peak is given where there is one."""
+    rows: list[list[Any]] = []
+    for name, run in runs.items():
+        f = step_figures(run.time_s, run.angle, 0.0, n["ref_rad"])
+        over = round(f.overshoot_pct, 2)
+        rows.append([name, over, f.peak_s if over else None, f.settling_5_s, f.rise_s, itae(run, n["ref_rad"])])
+    return rows
+
+
+def _table(rows: list[list[Any]]) -> Table:
+    return Table("By gain", ("gain", *COLUMNS), rows)
+
+
+_LOOP = (
+    "The text names Fig. D-3, the window of a library; taken is the loop of Fig. D-26, without limits and with an "
+    "amplifier of gain 1."
+)
+_ON_ANGLE = (
+    "The derivative is that of the angle: of the error it would ask for an endless voltage in the moment of the "
+    "step. The "
+    "poles, and so the damping, are the same."
+)
