@@ -55,3 +55,11 @@ def parse_whole(option: str, text: str, low: int, high: int) -> int:
 
 def parse_seed(text: str | None) -> int | None:
     return None if text is None else parse_whole("--seed", text, 0, 2**63 - 1)
+
+
+def parse_numbers(option: str, text: str, low: float, high: float, most: int = 20) -> tuple[float, ...]:
+    """A list of different numbers with commas between, in the order given. Raises ConfigError."""
+    found = tuple(dict.fromkeys(parse_number(option, part, low, high) for part in text.split(",")))
+    if len(found) > most:
+        raise ConfigError(f"{option} holds {len(found)} numbers: at most {most}")
+    return found

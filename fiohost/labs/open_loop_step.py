@@ -79,12 +79,17 @@ def inertia_from(q: MotorConstants, tau_s: float, B_Nms: float) -> float:
 
 
 def open_loop_step(
-    session: Session, levels_V: Sequence[float] = (1.0, 3.0, -2.0), torque: Torque | None = None
+    session: Session,
+    levels_V: Sequence[float] = (1.0, 3.0, -2.0),
+    torque: Torque | None = None,
+    animate: bool = False,
 ) -> LabResult:
     """Steps 1 to 8: ideal model, model at the bench's ticks and target for each voltage."""
     q = session.constants
     trios = [session.three(f"step_{v:+g}V".replace("+", "plus_").replace("-", "minus_"), volts(v, DURATION_S),
                            DURATION_S) for v in levels_V]  # fmt: skip
+    if animate:
+        session.animate_motor("open_loop_step", trios[0][2])
     fits = [[fit_step(run, v, q.winding_s) for run in trio] for v, trio in zip(levels_V, trios, strict=True)]
     rows: list[list[float | str | None]] = []
     for v, trio, found in zip(levels_V, trios, fits, strict=True):

@@ -43,6 +43,7 @@ class PositionPlan:
     torque: Torque | None = Torque(-0.1, 2.0)  # noqa: RUF009
     overshoot_pct: float = 30.0
     rise_s: float = 0.1
+    animate: bool = False
 
 
 def second_order(q: MotorConstants, kp: float) -> tuple[float, float]:
@@ -62,6 +63,8 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
         kp: session.three(f"position_kp{kp:g}".replace(".", "p"), position(Gains(kp), to), DURATION_S)
         for kp in plan.gains
     }
+    if plan.animate:
+        session.animate_motor("position_control", runs[plan.gains[-1]][2], to)
     tables, answers = [_proportional(runs, to)], [_step_16(runs, to)]
     pressed: list[tuple[Gains, Trio]] = []
     if plan.torque is not None:

@@ -173,3 +173,12 @@ class Session:
             self.model(law, duration_s, torque),
             self.on_target(case, law, duration_s, torque),
         )
+
+    def animate_motor(self, name: str, run: Run, ref_deg: float | None = None) -> None:
+        """A moving picture of the shaft in a run, beside the pictures."""
+        from fiohost.report.animation import animate_motor
+
+        path = self.folder / f"{name}.gif"
+        ref = None if ref_deg is None else np.full(len(run.time_s), ref_deg)
+        animate_motor(path, run.time_s, run.angle_deg, ref, f"{name.replace('_', ' ')}, {run.name}, {self.target}")
+        self.logs["animation"] = str(path)

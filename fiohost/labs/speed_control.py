@@ -34,6 +34,7 @@ def speed_control(
     refs: Sequence[float] = (12.0, -10.0, 15.0),
     torque: Torque | None = None,
     gear_load_kgm2: float = GEAR_LOAD_KGM2,
+    animate: bool = False,
 ) -> LabResult:
     """Steps 11 to 15: ideal model, model at the bench's ticks, and target for each gain and reference."""
     q = session.constants
@@ -42,6 +43,8 @@ def speed_control(
                                  speed(Gains(kp), ref), DURATION_S)
         for kp in gains for ref in refs
     }  # fmt: skip
+    if animate:
+        session.animate_motor("speed_control", runs[gains[-1], refs[0]][2])
     rows: list[list[Cell]] = []
     for (kp, ref), trio in runs.items():
         share = 100.0 * kp * q.speed_per_volt / (1.0 + kp * q.speed_per_volt)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -42,6 +41,7 @@ def animate_motor(
     (pointer,) = dial.plot([], [], color=AFTER, linewidth=4, solid_capstyle="round", label="shaft")
     _sweep(plot, time_s, angle_deg, ref_deg)
     marker = plot.axvline(0.0, color=GREY)
+    said = dial.text(0.0, 1.0, "", transform=dial.transAxes, va="bottom")
     dial.legend(loc="lower center", bbox_to_anchor=(0.5, -0.2), ncols=2)
 
     def draw(k: int) -> None:
@@ -49,9 +49,9 @@ def animate_motor(
         if ref_deg is not None:
             asked.set_data(*_ray(ref_deg[k]))
         marker.set_xdata([time_s[k]] * 2)
-        dial.set_title(f"{time_s[k]:.2f} s, {angle_deg[k]:.1f} deg")
+        said.set_text(f"{time_s[k]:.2f} s, {angle_deg[k]:.1f} deg")
 
-    _save(path, figure, time_s, draw)
+    _save(path, figure, time_s, (asked, pointer, marker, said), draw)
 
 
 @matplotlib.rc_context(STYLE)
@@ -71,6 +71,7 @@ def animate_arm(
     view.legend(loc="lower center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     _sweep(plot, time_s, angle_deg, np.full(len(time_s), cup_deg))
     marker = plot.axvline(0.0, color=GREY)
+    said = view.text(0.0, 1.0, "", transform=view.transAxes, va="bottom")
 
     def draw(k: int) -> None:
         tip = arm_m * np.array(_unit(angle_deg[k]))
@@ -83,15 +84,16 @@ def animate_arm(
             at = begin + share * (np.array(fall.lands_m) - begin)
         load.set_data([at[0]], [at[1]])
         marker.set_xdata([time_s[k]] * 2)
-        view.set_title(f"{time_s[k]:.2f} s, {angle_deg[k]:.1f} deg")
+        said.set_text(f"{time_s[k]:.2f} s, {angle_deg[k]:.1f} deg")
 
-    _save(path, figure, time_s, draw)
+    _save(path, figure, time_s, (arm, load, marker, said), draw)
 
 
 def _stage(title: str) -> tuple[Figure, Any, Any]:
-    figure = Figure(figsize=(8.4, 3.9), layout="constrained")
+    figure = Figure(figsize=(8.4, 3.9))
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
+    figure.subplots_adjust(left=0.03, right=0.98, bottom=0.16, top=0.86, wspace=0.25)
     figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     return figure, left, right
 
@@ -127,14 +129,25 @@ def _ray(angle_deg: float) -> tuple[list[float], list[float]]:
     return [0.0, x], [0.0, y]
 
 
-def _save(path: Path, figure: Figure, time_s: np.ndarray, draw: Callable[[int], None]) -> None:
+def _save(path: Path, figure: Figure, time_s: np.ndarray, moving: Sequence[Any], draw: Callable[[int], None]) -> None:
+    """Draw what stands still once, what moves on top of it for each frame."""
+    from PIL import Image
+
+    figure.set_dpi(DPI)
+    canvas: Any = figure.canvas
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    frames = []
     end = min(float(time_s[-1]), MOST_S)
-    frames = np.searchsorted(time_s, np.arange(0.0, end, 1.0 / FRAMES_PER_S))
-    writer = PillowWriter(fps=FRAMES_PER_S)
+    for k in np.searchsorted(time_s, np.arange(0.0, end, 1.0 / FRAMES_PER_S)).tolist():
+        canvas.restore_region(still)
+        draw(min(k, len(time_s) - 1))
+        for artist in moving:
+            artist.axes.draw_artist(artist)
+        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(64))
     try:
-        with writer.saving(figure, str(path), dpi=DPI):
-            for k in frames.tolist():
-                draw(min(k, len(time_s) - 1))
-                writer.grab_frame()
+        frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 // FRAMES_PER_S, loop=0)
     except OSError as exc:
         raise FiohostError(f"cannot write the animation {path}: {exc.strerror}") from exc
