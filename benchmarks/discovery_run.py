@@ -14,7 +14,7 @@ SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
 STEP_S, TONES_S, PULSES_S, FRESH_S = 0.7, 10.0, 7.5, 10.0
 DECLARED = "linear+coulomb_friction"
 CLEAR, FAINT = 3.0, 1.2
-TRIES, SHORT_TRIES = 40, 10
+TRIES, SHORT_TRIES = 16, 10
 
 Row = dict[str, Any]
 
