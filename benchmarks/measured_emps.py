@@ -29,6 +29,7 @@ from fiohost.report.plots import plot_curve, plot_series
 from fiohost.report.series import CurvePlot
 
 MAP = "emps"
+# Records and models of a linear axis are in millimetres, a diagnosis as told in metres.
 MM = 1e3
 # Of the record: 35.15065 N a volt, and 100 % are taken as 10 V.
 NEWTON_PER_PCT = 35.15065 * 0.1
@@ -46,7 +47,7 @@ def published() -> Model:
     si = PUBLISHED_SI
     return PUBLISHED.with_values(
         {
-            "linear.gain_deg_s_per_pct": NEWTON_PER_PCT / si["viscous"],
+            "linear.gain_deg_s_per_pct": MM * NEWTON_PER_PCT / si["viscous"],
             "linear.tau_s": si["mass"] / si["viscous"],
             "coulomb_friction.level_pct": si["dry"] / NEWTON_PER_PCT,
             "constant_load.level_pct": si["offset"] / NEWTON_PER_PCT,
@@ -56,7 +57,7 @@ def published() -> Model:
 
 def in_si(model: Model) -> dict[str, float]:
     """Mass in kg, viscous friction in N s/m, dry friction and offset in N of a model of the published structure."""
-    viscous = NEWTON_PER_PCT / model.number("linear.gain_deg_s_per_pct")
+    viscous = MM * NEWTON_PER_PCT / model.number("linear.gain_deg_s_per_pct")
     return {
         "mass": viscous * model.number("linear.tau_s"),
         "viscous": viscous,
@@ -122,8 +123,8 @@ def judged_row(label: str, record: Record, model: Model) -> list[str]:
     force = force_error_pct(record, model)
     return [
         label,
-        f"{MM * errors.free_run_rms:.2f}",
-        f"{MM * errors.window_rms:.3f}",
+        f"{errors.free_run_rms:.2f}",
+        f"{errors.window_rms:.3f}",
         words.DASH if force is None else f"{force:.1f}",
     ]
 
@@ -138,9 +139,9 @@ def published_table(whole: Record, models: Mapping[str, tuple[Model, float | Non
             [
                 label,
                 *(f"{si[key]:.2f}" for key in ("mass", "viscous", "dry", "offset")),
-                words.DASH if own is None else f"{MM * own:.2f}",
-                f"{MM * errors.free_run_rms:.2f}",
-                f"{MM * errors.window_rms:.3f}",
+                words.DASH if own is None else f"{own:.2f}",
+                f"{errors.free_run_rms:.2f}",
+                f"{errors.window_rms:.3f}",
                 f"{force_error_pct(whole, model):.2f}",
             ]
         )
@@ -152,7 +153,7 @@ def pictures(found: Diagnosis, held: Record, models: Mapping[str, Model]) -> Non
     (shown,) = [s for s in series_of(found) if s.role == "holdout"]
     save("emps_run", plot_series(shown))
     times = held.excitation.times_s
-    lines = {label: MM * judge(held, model).free_residual for label, model in models.items()}
+    lines = {label: judge(held, model).free_residual for label, model in models.items()}
     thin = slice(None, None, 10)
     save(
         "emps_free",
@@ -221,7 +222,7 @@ def section(folder: Path) -> dict[str, str]:
 def numbers(told: Mapping[str, Any], whole: Record, full: Fit) -> dict[str, str]:
     held = {key: told[key]["holdout"] for key in ("after", "floor")}
     return {
-        "whole_rms": f"{MM * full.rms:.2f}",
+        "whole_rms": f"{full.rms:.2f}",
         "published_force": f"{force_error_pct(whole, published()):.2f}",
         "windows_mm": f"{MM * held['after']['window_rms']:.2f}",
         "free_mm": f"{MM * held['after']['free_run_rms']:.2f}",
@@ -233,4 +234,4 @@ def numbers(told: Mapping[str, Any], whole: Record, full: Fit) -> dict[str, str]
 def drift(held: Record, model: Model) -> dict[str, str]:
     """Slope of the free run's error, and the constant force that makes an axis creep so."""
     slope = float(np.polyfit(held.excitation.times_s, judge(held, model).free_residual, 1)[0])
-    return {"drift": f"{MM * slope:.1f}", "drift_N": f"{abs(slope) * in_si(model)['viscous']:.1f}"}
+    return {"drift": f"{slope:.1f}", "drift_N": f"{abs(slope) / MM * in_si(model)['viscous']:.1f}"}

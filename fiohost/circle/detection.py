@@ -15,7 +15,7 @@ from fiohost.discover.metrics import pool
 from fiohost.discover.search import Search
 from fiohost.errors import DataError
 from fiohost.identify.fit import fit_from_scratch
-from fiohost.identify.record import record_from_log
+from fiohost.identify.record import record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
@@ -37,13 +37,15 @@ def smallest_visible(
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     sources = read_logs(logs, table_map)
     check_roles(sources, ())
-    records = [record_from_log(log, name) for log, name in zip(sources, unique_names(sources), strict=True)]
+    records = with_bench_zero(
+        [record_from_log(log, name) for log, name in zip(sources, unique_names(sources), strict=True)]
+    )
+    declared = declared.on_axis(records[0].rotary)
     seconds = sum(r.seconds for r in records)
-    from_file = not isinstance(model, str) or model.endswith(".toml")
     with threadpool_limits(limits=1, user_api="blas"):
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")
         search = Search(records, None, np.random.default_rng(seed), library, say)
-        stage = search.stage(fit_from_scratch(declared, search.records, keep_start=from_file))
+        stage = search.stage(fit_from_scratch(declared, search.records, keep_start=declared.given))
         if not stage.at_floor:
             raise DataError(
                 f"{declared.expression} leaves something unexplained in these logs, which hides how small an effect "

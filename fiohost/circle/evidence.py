@@ -81,7 +81,7 @@ def diagnose(
         records[len(train) :],
         declared,
         library=library,
-        from_file=not isinstance(model, str) or model.endswith(".toml"),
+        from_file=declared.given,
         seed=seed,
         say=say,
         files=files,

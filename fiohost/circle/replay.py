@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,10 @@ import numpy as np
 from fiohost import __version__
 from fiohost.bench.log import Log
 from fiohost.discover.metrics import Errors, judge
+from fiohost.discover.units import LOG_UNIT, STARTS, metres
 from fiohost.errors import LogError
 from fiohost.identify.record import record_from_log
-from fiohost.motor.model import Model
+from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
 
 
@@ -33,8 +34,13 @@ class Replay:
 def replay(log: Log, model: Model) -> Replay:
     """Simulate a model on the commands of a log. Raises ModelError, DataError."""
     record = record_from_log(log)
-    found = judge(record, model)
-    return Replay(log.time_s, found.simulated, log.output_name, log.output_unit, found.start, found.errors)
+    found = judge(record, model.on_axis(record.rotary))
+    y, start, errors = found.simulated, found.start, found.errors
+    if record.unit in LOG_UNIT:
+        y = y / MM_PER_M
+        start = start._replace(**metres({name: getattr(start, name) for name in STARTS}))
+        errors = replace(errors, free_run_rms=metres(errors.free_run_rms), window_rms=metres(errors.window_rms))
+    return Replay(log.time_s, y, log.output_name, log.output_unit, start, errors)
 
 
 def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:

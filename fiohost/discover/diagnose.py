@@ -97,7 +97,7 @@ def diagnose_records(
     units = {r.unit for r in (*train, *holdout)}
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
-    train = with_bench_zero(train)
+    train, model = with_bench_zero(train), model.on_axis(train[0].rotary)
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
         return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})

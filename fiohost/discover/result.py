@@ -10,14 +10,15 @@ from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
 from fiohost.discover.metrics import Errors, pool
 from fiohost.discover.stage import Stage
+from fiohost.discover.units import LOG_UNIT, in_metres
 
 
 def _errors(errors: Errors | None) -> dict[str, Any] | None:
     return errors.to_json() if errors else None
 
 
-def _parameters(stage: Stage, rotary: bool, only: str | None = None) -> dict[str, Any]:
-    """Parameters with intervals; on a linear axis the model's degrees are metres."""
+def _parameters(stage: Stage, only: str | None = None) -> dict[str, Any]:
+    """Parameters with intervals."""
     known = parameters(stage)
     found: dict[str, Any] = {}
     for name, value in stage.fit.model.values.items():
@@ -28,9 +29,7 @@ def _parameters(stage: Stage, rotary: bool, only: str | None = None) -> dict[str
         if isinstance(value, str):
             found[key] = {"value": value, "unit": "", "ci95": None, "identifiable": True, "at_bound": False}
         else:
-            estimate = known[name]
-            unit = estimate.unit if rotary else estimate.unit.replace("deg", "m")
-            found[key] = {**estimate.to_json(), "unit": unit}
+            found[key] = known[name].to_json()
     return found
 
 
@@ -46,8 +45,8 @@ def clean(value: Any) -> Any:
 
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
-    """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``."""
-    declared, final, rotary = found.declared, found.final, found.train[0].rotary
+    """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``; of a linear axis in metres."""
+    declared, final, unit = found.declared, found.final, found.train[0].unit
     logs = []
     for role, records, before, after, floor in (
         ("train", found.train, declared.judgements, final.judgements, final.floors),
@@ -73,15 +72,15 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "fiohost_version": __version__,
         "seconds": found.seconds,
         "fit_horizon_s": found.horizon_s,
-        "output_unit": found.train[0].unit,
+        "output_unit": LOG_UNIT.get(unit, unit),
         **found.preliminary.to_json(),
-        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared, rotary)},
+        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
         "verdict": found.verdict,
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
             {
                 "effect": step.effect,
-                "parameters": _parameters(step.stage, rotary, step.effect),
+                "parameters": _parameters(step.stage, step.effect),
                 "evidence": step.evidence,
                 "after": {"train": _errors(pooled(step.stage.judgements)), "holdout": _errors(pooled(held))},
                 "indistinguishable_from": list(step.indistinguishable_from),
@@ -89,7 +88,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for step, held in zip(found.steps, found.step_holdout, strict=True)
         ],
         "after": {"train": _errors(pooled(final.judgements)), "holdout": _errors(pooled(found.after_holdout))},
-        "final": {"model": final.fit.model.expression, "parameters": _parameters(final, rotary)},
+        "final": {"model": final.fit.model.expression, "parameters": _parameters(final)},
         "floor": {
             "train": _errors(pool([f.errors for f in final.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),
@@ -116,4 +115,4 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "detection_limits": [limit.to_json() for limit in found.outlook.limits],
         "separation": upcoming.separation_json() if upcoming else None,
     }
-    return clean(result)  # type: ignore[no-any-return]
+    return clean(in_metres(result) if unit in LOG_UNIT else result)  # type: ignore[no-any-return]

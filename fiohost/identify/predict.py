@@ -256,8 +256,12 @@ def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: flo
         zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
     best = min(zeros, key=cost) if len(zeros) > 1 else zeros[0]
     reach = (ZERO_REACH if near is None else ZERO_NEAR) / fastest
-    options = {"xatol": ZERO_CLOSE / fastest, "maxiter": ZERO_MORE}
-    found = minimize_scalar(cost, bounds=(best - reach, best + reach), method="bounded", options=options)
+    found = minimize_scalar(
+        cost,
+        bounds=(best - reach, best + reach),
+        method="bounded",
+        options={"xatol": ZERO_CLOSE / fastest, "maxiter": ZERO_MORE},
+    )
     zero = float(found.x) if found.fun < cost(best) else best
     return (zero + 180.0) % 360.0 - 180.0
 

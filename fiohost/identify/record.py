@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fiohost.errors import DataError
+from fiohost.motor.model import MM_PER_M
 from fiohost.motor.simulate import Excitation
 
 if TYPE_CHECKING:
@@ -18,16 +19,18 @@ ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST_SAMPLES = 5
 SHORTEST = 20
 BRAKE = 2
+# A linear axis is held in millimetres: what is sized for degrees (trials, bounds, steps of the library) then fits it.
+HELD_IN = {"m": "mm", "m/s": "mm/s"}
 
 
 @dataclass(frozen=True)
 class Record:
     """One log as evidence.
 
-    ``y`` (n) is the measured output in ``unit``, of kind ``ANGLE``, ``SPEED`` (at the instant) or ``MEAN_SPEED``
-    (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0 where unknown).
-    ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows where on the
-    bench's turn its angle is zero.
+    ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
+    instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
+    where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
+    where on the bench's turn its angle is zero.
     """
 
     name: str
@@ -143,12 +146,14 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
     """The record of a log: its output whatever it is, its commands with what is known of the bench.
 
     Known are the delay until a command acts and the steps of the target's timer; neither is ever a missing effect.
+    Metres become millimetres.
     """
     output = log.output_name
     kind = ANGLE if output in ("angle_deg", "position_m") else SPEED
     if kind == SPEED and log.output_average == "previous_interval":
         kind = MEAN_SPEED
-    y = log.output
+    scale = MM_PER_M if log.output_unit in HELD_IN else 1.0
+    y = log.output * scale
     return make_record(
         name or (log.path.name if log.path else "log"),
         log.time_s,
@@ -156,8 +161,8 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         y,
         mode=log.mode,
         kind=kind,
-        unit=log.output_unit,
-        quantum=log.output_quantum,
+        unit=HELD_IN.get(log.output_unit, log.output_unit),
+        quantum=log.output_quantum * scale,
         sample_time_s=log.sample_time_s,
         command_delay_s=log.command_delay_ticks * log.sample_time_s,
         rotary=output in ("angle_deg", "speed_deg_s"),

@@ -65,6 +65,11 @@ class Parameter:
         """Whether a gradient means anything: neither a choice nor a whole number, which are found by trying."""
         return not self.choices and not self.whole
 
+    @property
+    def is_length(self) -> bool:
+        """Whether it is counted in degrees, which on a linear axis are millimetres."""
+        return self.unit.startswith("deg") and self.period is None
+
     def check(self, value: object, where: str) -> Value:
         """Return the value if it is allowed. Raises ModelError with the reason."""
         if self.is_choice:

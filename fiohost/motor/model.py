@@ -13,6 +13,9 @@ from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layo
 from fiohost.settings import config_names, find_config, nearest, read_toml
 
 SCHEMA = "fiohost.model/1"
+# What the numbers of a model are in, and those of its file; on a linear axis files say metres.
+DEGREES, MILLIMETRES, METRES = "deg", "mm", "m"
+MM_PER_M = 1000.0
 
 
 @dataclass(frozen=True)
@@ -20,11 +23,13 @@ class Model:
     """``linear`` plus effects in the order in which they came in.
 
     ``values`` holds every parameter of every effect as ``effect.parameter``; ``fixed`` names those not to be estimated.
+    ``unit`` is what the degrees in parameters' names really are: ``deg``, or ``mm`` on a linear axis.
     """
 
     effects: tuple[str, ...] = ()
     values: Mapping[str, Value] = None  # type: ignore[assignment]
     fixed: frozenset[str] = frozenset()
+    unit: str = DEGREES
 
     def __post_init__(self) -> None:
         given = dict(self.values or {})
@@ -60,9 +65,10 @@ class Model:
 
     @classmethod
     def read(cls, path: Path) -> Model:
-        """Read a ``fiohost.model/1`` file."""
+        """Read a ``fiohost.model/1`` file; one whose ``unit`` is metres becomes a model in millimetres."""
         table = read_toml(path)
         table.schema(SCHEMA)
+        unit = table.text("unit", DEGREES, choices=(DEGREES, METRES))
         names = table.raw("effects", [])
         if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
             raise table.fail("effects is not a list of names")
@@ -79,7 +85,9 @@ class Model:
                 raise table.fail(f"parameter {group!r} is not of the form effect.parameter")
             values.update({f"{group}.{key}": value for key, value in inner.items()})
         try:
-            return cls(effects=tuple(names), values=values, fixed=frozenset(fixed))
+            if unit == METRES:
+                return cls(tuple(names), _scaled(values, MM_PER_M), frozenset(fixed), MILLIMETRES)
+            return cls(tuple(names), values, frozenset(fixed))
         except FiohostError as exc:
             raise ConfigError(f"{path}: {exc}") from exc
 
@@ -87,8 +95,11 @@ class Model:
         """Write a ``fiohost.model/1`` file. Raises ConfigError if it cannot be written."""
         lines = [f"# {line}" for line in comment.splitlines()]
         quoted = ", ".join(f'"{name}"' for name in self.effects)
-        lines += [f'schema = "{SCHEMA}"', f"effects = [{quoted}]", "", "[parameters]"]
-        for key, value in self.values.items():
+        lines += [f'schema = "{SCHEMA}"', f"effects = [{quoted}]"]
+        linear = self.unit == MILLIMETRES
+        lines += [f'unit = "{METRES}"'] if linear else []
+        lines += ["", "[parameters]"]
+        for key, value in (_scaled(self.values, 1.0 / MM_PER_M) if linear else self.values).items():
             lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
         if self.fixed:
             names = ", ".join(f'"{name}"' for name in sorted(self.fixed))
@@ -97,6 +108,23 @@ class Model:
             path.write_text("\n".join(lines) + "\n", encoding="utf-8")
         except OSError as exc:
             raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+
+    def on_axis(self, rotary: bool) -> Model:
+        """The model for logs of a shaft or of a linear axis, where numbers that people gave are in metres.
+
+        Raises ModelError for a model of a linear axis on a shaft.
+        """
+        if rotary == (self.unit == DEGREES):
+            return self
+        if rotary:
+            raise ModelError("the model is one of a linear axis (its unit is the metre), but the logs measure an angle")
+        given = {k: v for k, v in self.values.items() if v != self.parameter(k).start}
+        return replace(self, values={**self.values, **_scaled(given, MM_PER_M)}, unit=MILLIMETRES)
+
+    @property
+    def given(self) -> bool:
+        """Whether any parameter has another value than the library's start."""
+        return any(v != self.parameter(k).start for k, v in self.values.items())
 
     @property
     def expression(self) -> str:
@@ -139,6 +167,7 @@ class Model:
             effects=tuple(e for e in self.effects if e not in gone),
             values={k: v for k, v in self.values.items() if k.partition(".")[0] not in gone},
             fixed=frozenset(k for k in self.fixed if k.partition(".")[0] not in gone),
+            unit=self.unit,
         )
 
     def switches(self) -> np.ndarray:
@@ -161,6 +190,19 @@ class Model:
         """Longest step of the kernel, 0 where each hold is one exact step."""
         steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
         return min(steps, default=0.0)
+
+
+def _scaled(values: Mapping[str, Value], factor: float) -> dict[str, Value]:
+    """Parameters with lengths in another unit; what is no number or unknown is left for the check."""
+
+    def is_length(key: str) -> bool:
+        group, _, name = key.partition(".")
+        return any(q.name == name and q.is_length for q in effect(group).parameters)
+
+    return {
+        key: value * factor if isinstance(value, (int, float)) and is_length(key) else value
+        for key, value in values.items()
+    }
 
 
 def slot(key: str) -> int:

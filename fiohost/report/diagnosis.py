@@ -48,7 +48,7 @@ def curves_of(found: Diagnosis) -> list[CurvePlot]:
     """What the remaining missing torque follows, where it follows anything."""
     if found.final.at_floor:
         return []
-    length = "deg" if found.train[0].rotary else "m"
+    length = "deg" if found.train[0].rotary else "mm"
     term = found.outlook.empirical
     return [
         *([_empirical(term, VARIABLE_LABELS[term.variable].format(length=length))] if term else []),
