@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fiohost.bench.table import read_cells
@@ -20,7 +20,11 @@ from fiohost.settings import Table as Toml
 from fiohost.settings import nearest, read_toml
 
 SCHEMA = "fiohost.readings/1"
-KINDS = ("response", "steady")
+COMMON = ("title", "source", "table", "row", "only", "figures")
+KINDS = {
+    "response": ("step", "controller", "deadband", "encoder"),
+    "steady": ("duty", "torque", "speed", "motor", "run"),
+}
 MOST_ROWS, MOST_TICKS = 500, 60_000
 DEGREES = {"deg": 1.0, "rad": math.degrees(1.0)}
 SPEEDS = {"deg/s": 1.0, "rad/s": math.degrees(1.0), "rpm": 6.0}
@@ -92,7 +96,10 @@ def read_readings(path: Path) -> tuple[Table, dict[str, str]]:
     """Read one file: the table, and the hashes of what it was read from. Raises ConfigError, LogError."""
     top = read_toml(path)
     top.schema(SCHEMA)
-    kind = top.text("kind", choices=KINDS)
+    kind = top.text("kind", choices=list(KINDS))
+    for key in (*COMMON, *KINDS[kind]):
+        top.raw(key)
+    top.finish()
     top.text("title", "")
     top.text("source", "")
     rows = _rows(top, path)
@@ -100,8 +107,6 @@ def read_readings(path: Path) -> tuple[Table, dict[str, str]]:
     found: Table = (
         _responses(top, figures, rows, path.stem) if kind == "response" else _steady(top, figures, rows, path.stem)
     )
-    figures.finish()
-    top.finish()
     return found, {
         "file": str(path),
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -217,14 +222,28 @@ def _responses(top: Toml, figures: Toml, rows: _Rows, name: str) -> Responses:
         gain = {key: per_error * setting.at(i) for key, setting in gains.items()}
         loop = Loop(
             gain["kp"], gain.get("ki", 0.0), gain.get("kd", 0.0), filter_s, on_angle, holds, limit.at(i), **band,
-            sample_time_s=sample_time_s, delay_s=delay_s, quantum_deg=quantum_deg,
+            sample_time_s=sample_time_s, delay_s=delay_s,
         )  # fmt: skip
         target, start = size * to.at(i), size * begin.at(i)
         if target == start:
             raise ConfigError(f"{rows.where} row {i + 1}: its step goes nowhere, from and to are the same")
         responses.append(Response(loop, target, start, hold_s, duration_s))
     labels = [*gains.values(), limit, to, begin]
-    return Responses(name, [f for f, _ in chosen], _measured(rows, chosen, labels), responses)
+    smallest = min(abs(r.to_deg - r.from_deg) for r in responses)
+    counted = [_counted(f, quantum_deg, smallest) for f, _ in chosen]
+    return Responses(name, counted, _measured(rows, chosen, labels), responses)
+
+
+def _counted(figure: Figure, quantum_deg: float, step_deg: float) -> Figure:
+    """A figure with what an encoder's counts add to its scatter.
+
+    The loop itself is simulated without counts: its figures would be stairs over every parameter, which no fit climbs.
+    """
+    lengths = {"overshoot_pct": step_deg / 100.0, "final": figure.scale, "steady_state_error": figure.scale}
+    if figure.name not in lengths:
+        return figure
+    counts = quantum_deg / lengths[figure.name] / math.sqrt(12.0)
+    return replace(figure, scatter=math.hypot(figure.scatter, counts))
 
 
 DEADBAND = (("u_plus_pct", 0.0, 99.0), ("u_minus_pct", -99.0, 0.0), ("threshold_pct", 0.0, 100.0))

@@ -296,20 +296,21 @@ def deviations(evidence: Evidence, model: Model, constants: Sequence[Sequence[fl
 
 
 def without_row(evidence: Evidence, fitted: TableFit, row: int) -> np.ndarray:
-    """What is left of a row (in floors) by the model fitted to the others.
-
-    What only this row shows of an effect is not there without it: its size is then the one at which it vanishes.
-    """
+    """What is left of a row (in floors) by the model fitted to the others."""
     rest = [i for i in range(len(evidence)) if i != row]
-    model = fitted.model
-    columns = np.vstack([fitted.jacobians[i] for i in rest]) if rest else np.empty((0, len(fitted.names)))
-    for j, name in enumerate(fitted.names):
-        neutral = model.parameter(name).neutral
-        if neutral is not None and np.linalg.norm(columns[:, j]) <= SEEN:
-            model = model.with_values({name: neutral})
-    problem = _Problem(evidence, model, rest)
+    problem = _Problem(evidence, fitted.model, rest)
     measured = np.concatenate([evidence.measured(evidence.places[i]) for i in rest])
-    x = problem.solve(vector(evidence, model, fitted.constants), measured, AGAIN)
+    x = problem.solve(vector(evidence, fitted.model, fitted.constants), measured, AGAIN)
     plant, constants = problem.split(x)
     place = evidence.places[row]
     return np.asarray(evidence.measured(place) - evidence.in_floors(place, evidence.predict(place, plant, constants)))
+
+
+def shown_by_one_row(fitted: TableFit, name: str) -> bool:
+    """Whether a single row is all that an effect's sizes change, so that no other can confirm it."""
+    for j, key in enumerate(fitted.names):
+        if key.partition(".")[0] == name and fitted.model.parameter(key).neutral is not None:
+            changed = [np.linalg.norm(columns[:, j]) > SEEN for columns in fitted.jacobians]
+            if np.count_nonzero(changed) > 1:
+                return False
+    return any(key.partition(".")[0] == name for key in fitted.names)

@@ -32,6 +32,7 @@ from fiohost.discover.tables.fit import (
     TableFit,
     fit_declared,
     fit_tables,
+    shown_by_one_row,
     without_row,
 )
 from fiohost.discover.tables.starts import downhill, held
@@ -210,6 +211,8 @@ class Search:
         """Why a refitted candidate is not even cross-validated, or None."""
         if not can_be_left_out(self.evidence, grown):
             return "its parameters are more than the rows can settle when one of them is left out"
+        if shown_by_one_row(grown, item.name):
+            return "shows in one row only, which no other row confirms"
         share = 1.0 - grown.cost / max(stage.fit.cost, 1e-300)
         if grown.rms > stage.limit_rms and share <= chance:
             return f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"

@@ -22,10 +22,11 @@ from fiohost.motor.flow import plant as plant_at
 from fiohost.motor.flow import settled_current
 from fiohost.motor.hooks import command
 from fiohost.motor.simulate import Excitation, run
-from fiohost.motor.state import DRIVE, GAIN, OMEGA, STATE_SIZE, THETA
+from fiohost.motor.state import DRIVE, GAIN, OMEGA, STATE_SIZE, TAU, THETA
 
 # The kernel locates so many events a step that one of this length never runs out of them.
 STEP_S = 0.05
+LAGS = 25.0
 LOAD_ON, LOAD = list(effects()).index("constant_load"), layout()["constant_load"]
 STALL_CURRENT, STALL_TORQUE, VISCOUS_SHARE = range(3)
 CONSTANTS = (
@@ -72,13 +73,15 @@ def loaded(plant: Plant, load_pct: float) -> Plant:
 def operate(plant: Plant, duty_pct: float, settle_s: float, average_s: float) -> Operation:
     """Means over ``average_s`` after ``settle_s`` of a constant duty, from rest."""
     before, after = max(round(settle_s / STEP_S), 1), max(round(average_s / STEP_S), 1)
+    p = plant.p.copy()
+    p[TAU] = min(p[TAU], settle_s / LAGS)  # a motor that has not settled is no steady point, whatever its lag
     times = np.arange(before + after + 1) * STEP_S
     both = np.array([duty_pct, duty_pct])
     modes = np.full(2, DRIVE, dtype=np.int64)
     excitation = Excitation(times, np.array([-1.0]), both, modes)
-    states = run(excitation, plant.p, plant.on, plant.substep_s, np.zeros(STATE_SIZE))[before:]
+    states = run(excitation, p, plant.on, plant.substep_s, np.zeros(STATE_SIZE))[before:]
     currents = np.empty(len(states))
-    _currents(states, times[before:], duty_pct, plant.p, plant.on, currents)
+    _currents(states, times[before:], duty_pct, p, plant.on, currents)
     return Operation(float(states[-1, THETA] - states[0, THETA]) / (after * STEP_S), float(currents.mean()))
 
 
