@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+# Workers share the cores among themselves: numpy's own threads would only get in their way. It is not imported yet.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -169,7 +169,9 @@ def test_logs_of_two_sealed_boards_differ_in_nothing_but_what_was_measured(tmp_p
     assert len({head["run_id"] for head in heads}) == 3, "a run id made from the seed would tell it"
 
 
-def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite() -> None:
+def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Whether anything is missing is asked before any candidate; the library makes the limits, which are not asked here.
+    monkeypatch.setattr(close, "diagnose", partial(diagnose, library=["constant_load"]))
     result = fiohost("close-loop", "--target", "sim:ideal", "--seed", "3", "--report", "out", "--json", "-")
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
@@ -185,6 +187,7 @@ def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite() -> Non
 
 
 def test_without_a_seed_a_board_is_drawn_and_its_seal_kept(short_suite: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(close, "suite", lambda: [SUITE[-1]])
     monkeypatch.setattr("fiohost.bench.connect.draw_seed", lambda: 3_000_000_006)
     monkeypatch.setattr(close, "diagnose", partial(diagnose, library=["constant_load"]))
     result = fiohost("close-loop", "--json", "a.json")
@@ -236,10 +239,13 @@ def test_the_diagnosis_is_made_of_the_log_files_alone(tmp_path: Path) -> None:
     assert [c.score for c in again.candidates] == [c.score for c in circle.diagnosis.candidates]
 
 
-def test_boards_with_one_effect_are_named_right_at_their_usual_rate(tmp_path: Path) -> None:
-    """One board of each of six kinds, sizes drawn; a short suite. Five first names must be right by their class."""
+def test_boards_with_one_effect_are_named_right(tmp_path: Path) -> None:
+    """One board of every other kind, sizes drawn; a short suite. First names must be right by their class.
+
+    The rate, over all effects and with room for chance, is that of ``benchmarks/discovery.py --smoke``.
+    """
     misses = []
-    for seed, kind in enumerate(KINDS):
+    for seed, kind in list(enumerate(KINDS))[::2]:
         folder = tmp_path / kind
         folder.mkdir()
         with connect(f"sim:{one_effect_plant(folder, kind, seed)}", seed=seed) as bench:
@@ -249,7 +255,7 @@ def test_boards_with_one_effect_are_named_right_at_their_usual_rate(tmp_path: Pa
             others = circle.diagnosis.steps[0].indistinguishable_from if names else ()
             misses.append(f"seed {seed}: {kind} called {names or 'nothing'} (or {', '.join(others) or 'no other'})")
     print(*misses, sep="\n")
-    assert len(misses) <= 1, "; ".join(misses)
+    assert not misses, "; ".join(misses)
 
 
 def test_no_fresh_record_is_like_another_nor_like_the_suite() -> None:

@@ -35,7 +35,7 @@ def test_a_missing_effect_is_named_and_measured(effect: str, values: dict[str, f
     truth = truth_model(("coulomb_friction", effect), values)
     rng = np.random.default_rng(77)
     held = [measure(truth, steps(8.0, rng), rng, name="held")]
-    found = diagnose_records(suite(truth, 11), held, DECLARED)
+    found = diagnose_records(suite(truth, 11, 8.0), held, DECLARED)
     assert [s.effect for s in found.steps] == [effect]
     assert found.verdict == "explained"
     final = found.final.fit.model
@@ -77,7 +77,8 @@ def test_held_out_records_change_nothing_but_the_report() -> None:
     # Held-out records of quite another motor: they may say what they like, the choice must not hear them.
     other = truth_model(("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 9.0})
     held = [measure(other, steps(6.0, rng), rng, name="other")]
-    alone, with_held = diagnose_records(train, (), DECLARED), diagnose_records(train, held, DECLARED)
+    library = ["constant_load", "gravity_load", "input_deadband", "backlash", "transport_delay", "quadratic_drag"]
+    alone, with_held = (diagnose_records(train, h, DECLARED, library=library) for h in ((), held))
     assert alone.final.fit.model == with_held.final.fit.model
     assert [c.score for c in alone.candidates] == [c.score for c in with_held.candidates]
 
