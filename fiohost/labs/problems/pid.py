@@ -132,7 +132,7 @@ def _designed(number: int, n: Numbers) -> LabResult:
         load = loads[name] = replace(servo, load_Nm=n["load_Nm"], load_from_s=n["load_from_s"]).run(n["seconds"])
         f = step_figures(step.time_s, step.angle, 0.0, n["ref_rad"])
         over = 100.0 * (float(step.angle.max()) / n["ref_rad"] - 1.0)
-        sag, back_s = _after_load(load, n)
+        sag, back_s = _by_load(load, step, n)
         rows.append(
             [gains.kp, gains.ki, gains.kd, over, f.rise_s, f.settling_2_s, float(step.volts.max()), sag, back_s]
         )
@@ -173,14 +173,13 @@ def _designed(number: int, n: Numbers) -> LabResult:
     return solved(number, about, answers, values, pictures, [table], notes)
 
 
-def _after_load(run: Response, n: Numbers) -> tuple[float, float | None]:
-    """How far a load turns the shaft, and when it is back within 2 % of the step; times from the load."""
-    after = run.time_s >= n["load_from_s"]
-    error = np.abs(run.angle[after] - n["ref_rad"])
-    outside = np.flatnonzero(error > 0.02 * n["ref_rad"])
-    sag = float(error.max())
+def _by_load(loaded: Response, free: Response, n: Numbers) -> tuple[float, float | None]:
+    """How far a load turns the shaft from where it would be, and when that is within 2 % of the step for good."""
+    turned = np.abs(loaded.angle - free.angle)
+    outside = np.flatnonzero(turned > 0.02 * n["ref_rad"])
+    most = float(turned.max())
     if not outside.size:
-        return sag, 0.0
-    if outside[-1] + 1 == len(error):
-        return sag, None
-    return sag, float(run.time_s[after][outside[-1]]) - n["load_from_s"]
+        return most, 0.0
+    if outside[-1] + 1 == len(turned):
+        return most, None
+    return most, float(loaded.time_s[outside[-1]]) - n["load_from_s"]

@@ -84,9 +84,9 @@ def d15(n: Numbers) -> LabResult:
     answers = [
         (
             "What does the derivative do, and which KD is good?",
-            f"It damps: with kp {n['kp']:g} the overshoot falls from {rows[0][1]:.3g} % to {rows[-1][1]:.3g} % as kd grows; "
-            f"beyond some kd the shaft only gets slower. Least time-weighted error (ITAE): {best}. The steady error without "
-            "load stays 0.",
+            f"It damps: with kp {n['kp']:g} the overshoot falls from {rows[0][1]:.3g} % to {rows[-1][1]:.3g} % as kd "
+            f"grows; beyond some kd the shaft only gets slower. Least time-weighted error (ITAE): {best}. The steady "
+            "error without load stays 0.",
         )
     ]
     values = {"best": best, "itae_rad_s2": {r[0]: r[-1] for r in rows}, "overshoot_pct": {r[0]: r[1] for r in rows}}
