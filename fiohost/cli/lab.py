@@ -20,6 +20,7 @@ LABS: dict[str, tuple[str, str]] = {
     "manual": ("fiohost.cli.labs.manual:manual", "Manual control: speed against duty, dead zone, brake and standby."),
     "elevator": ("fiohost.cli.labs.elevator:elevator", "Seven floors under gravity: P, PI, limited power, buttons."),
     "problems": ("fiohost.cli.labs.problems:problems", "The text's problems D-1 to D-19, answered by computation."),
+    "characterise": ("fiohost.cli.labs.characterise:characterise", "Ra, Ki, Kb, B, J from readings, with intervals."),
     "open-loop-step": (
         "fiohost.cli.labs.control_lab:open_loop_step",
         "Steps of voltage: speed, lag, friction, inertia.",

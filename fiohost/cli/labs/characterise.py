@@ -1,0 +1,85 @@
+"""``fiohost lab characterise``: readings of meters to a motor's constants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fiohost.cli.labs.present import present, report_folder, result_options
+from fiohost.cli.options import parse_number, parse_seed
+from fiohost.cli.output import check_not_input, check_writable, output_for
+
+if TYPE_CHECKING:
+    from fiohost.labs.readings import Readings
+
+
+@click.command()
+@click.option("--readings", "readings_from", metavar="F", help="Readings in TOML or CSV; without, virtual meters read.")
+@click.option("--target", default="sim:nxt_no_load", show_default=True, metavar="T", help="The board to read at.")
+@click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
+@click.option(
+    "--port", default="A", show_default=True, metavar="A|B", help="Motor port; rows of the other are left out."
+)
+@click.option("--inductance", default="0.0047", show_default=True, metavar="H", help="Of the winding, by a meter.")
+@click.option("--supply", metavar="V", help="Armature voltage at full power, where readings do not say (4.5).")
+@click.option("--save", "save_to", metavar="F", help="Write the constants for --constants of the other experiments.")
+@result_options
+def characterise(
+    readings_from: str | None,
+    target: str,
+    seed: str | None,
+    port: str,
+    inductance: str,
+    supply: str | None,
+    save_to: str | None,
+    report: str,
+    json_to: str | None,
+) -> None:
+    """Ra, Ki, Kb, B, dry friction, time constant and inertia with 95 % intervals, beside the text's values.
+
+    \b
+    Example:
+      fiohost lab characterise --save motor.toml
+      fiohost lab characterise --readings docs/labs/nxt_readings.toml --port A
+    """
+    from fiohost.labs.readings import Readings, check_port
+
+    check_port(port, "--port")
+    L_H = parse_number("--inductance", inductance, 0.0, 10.0, "H")
+    full_V = None if supply is None else parse_number("--supply", supply, 0.1, 1000.0, "V")
+    out, folder = output_for(json_to), report_folder(report)
+    if save_to is not None:
+        check_writable(save_to)
+        check_not_input(save_to, [Path(readings_from)] if readings_from else [])
+
+    from fiohost.labs.characterise import characterise as evaluate
+    from fiohost.labs.characterise import constants_of, solve
+
+    if readings_from is not None:
+        readings = Readings.load(Path(readings_from), port)
+        if full_V is not None:
+            readings.supply_V = full_V
+        name = readings_from
+    else:
+        readings = _measured(target, seed, port, L_H, full_V)
+        readings.write(folder / "readings.toml")
+        name = target
+        out(f"readings: {folder / 'readings.toml'}")
+    result = evaluate(readings, L_H, name)
+    if save_to is not None:
+        constants_of(solve(readings)[0], readings, L_H).write(Path(save_to))
+        out(f"constants: {save_to}")
+    present(result, out, folder)
+
+
+def _measured(target: str, seed: str | None, port: str, L_H: float, full_V: float | None) -> Readings:
+    """Readings by the virtual meters of a simulated board."""
+    from fiohost.bench.connect import connect
+    from fiohost.labs.constants import TEXT
+    from fiohost.labs.measure import measure
+    from fiohost.labs.play import target_volts
+
+    with connect(target, seed=parse_seed(seed)) as bench:
+        return measure(bench, port, L_H, full_V if full_V is not None else target_volts(bench, TEXT["no_load"]))

@@ -1,0 +1,135 @@
+"""Readings at a simulated board, taken with its virtual meters as the text takes them with a multimeter.
+
+A stalled shaft is held by a soft hand, a mass hangs on the spool, the speed is that of the encoder. Meters show what a
+multimeter shows: steps of 1 mA and 10 mV.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from fiohost.bench.experiment import Experiment
+from fiohost.bench.loop import Bench, Tick
+from fiohost.bench.signals import Pulses
+from fiohost.errors import DataError
+from fiohost.labs.open_loop_step import fit_step
+from fiohost.labs.play import OpenLaw, play_target, smooth_speed
+from fiohost.labs.readings import GRAVITY_M_S2, SPOOL_RADIUS_M, NoLoad, Readings
+from fiohost.transport.instruments import Instruments
+
+METER_A, METER_V = 0.001, 0.01
+STALL_POWERS = (10.0, 20.0, 30.0, -10.0, -20.0, -30.0)  # table D-4
+MASSES_KG = (0.0, 0.067, 0.119, 0.173, 0.234, 0.293, 0.353, 0.413, 0.471, 0.532, 0.643, 0.702)  # table D-5
+LIFT_POWER = 50.0
+SPEED_POWERS = (20.0, 40.0, 60.0, 80.0, 100.0)
+HAND_NM_PER_RAD = 0.1  # soft enough for the motor's own damping, stiff enough to be at rest within seconds
+STALL_S, LIFT_S, STEP_S, ON_S, OFF_S = 2.0, 1.2, 1.5, 1.0, 4.0
+READ_S = 0.3
+TURNS_RAD_S = 0.2
+
+
+class _Meter:
+    """Reads at every tick; what is shown is the mean of the last READ_S, in steps of the meter."""
+
+    def __init__(self, lab: Instruments, tick_s: float, act: Callable[[Tick], None] | None = None) -> None:
+        self._lab, self._act = lab, act
+        self._keep = round(READ_S / tick_s)
+        self._seen: list[tuple[float, float]] = []
+
+    def __call__(self, tick: Tick) -> None:
+        if self._act is not None:
+            self._act(tick)
+        self._seen = [*self._seen[-self._keep + 1 :], (self._lab.voltage_V, self._lab.current_A)]
+
+    def read(self) -> tuple[float, float]:
+        volts, amperes = np.mean(self._seen, axis=0)
+        return round(float(volts) / METER_V) * METER_V, round(float(amperes) / METER_A) * METER_A
+
+
+def measure(
+    bench: Bench,
+    port: str,
+    L_H: float,
+    supply_V: float,
+    *,
+    stall_powers: Sequence[float] = STALL_POWERS,
+    masses_kg: Sequence[float] = MASSES_KG,
+    speed_powers: Sequence[float] = SPEED_POWERS,
+) -> Readings:
+    """All tables of the characterisation; with the inductance the winding's lag is taken off the time constants.
+
+    Raises ConfigError where the bench has no instruments, DataError where the motor does not turn.
+    """
+    lab = Instruments.of(bench)
+    found = Readings(port=port, supply_V=supply_V, source=f"virtual meters at {bench.transport.name}")
+    found.stall = [_stalled(bench, lab, power) for power in stall_powers]
+    winding_s = L_H * float(np.mean([i / v for v, i in found.stall]))
+    for mass in masses_kg:
+        torque, current, turns = _lifted(bench, lab, mass)
+        (found.lift if turns else found.lift_stalled).append((torque, current))
+    for power in speed_powers:
+        reading, tau_s = _freely(bench, lab, power, supply_V, winding_s)
+        found.no_load.append(reading)
+        found.time_constants_s.append(tau_s)
+    found.run_down.append(_run_down(bench))
+    return found
+
+
+def _stalled(bench: Bench, lab: Instruments, power: float) -> tuple[float, float]:
+    """Voltage and current with the shaft held."""
+    begin: list[float] = []
+
+    def hold(tick: Tick) -> None:
+        begin.append(tick.angle_deg)
+        lab.disturb(-HAND_NM_PER_RAD * float(np.radians(tick.angle_deg - begin[0])))
+
+    meter = _Meter(lab, bench.sample_time_s, hold)
+    try:
+        bench.drive(power, STALL_S, progress=meter, progress_every_s=bench.sample_time_s)
+    finally:
+        lab.disturb(0.0)
+    return meter.read()
+
+
+def _lifted(bench: Bench, lab: Instruments, mass_kg: float) -> tuple[float, float, bool]:
+    """Torque of a mass on the spool, the current that lifts it, and whether it went up."""
+
+    def hang(tick: Tick) -> None:
+        if tick.time_s >= 0.05:  # a motor that does not pull yet would be dragged along
+            lab.hang_mass(mass_kg, SPOOL_RADIUS_M * GRAVITY_M_S2 / 9.81)
+
+    meter = _Meter(lab, bench.sample_time_s, hang)
+    try:
+        log = bench.drive(LIFT_POWER, LIFT_S, progress=meter, progress_every_s=bench.sample_time_s)
+    finally:
+        lab.hang_mass(0.0, SPOOL_RADIUS_M)
+    last = log.time_s > log.time_s[-1] - READ_S
+    speed = float(np.polyfit(log.time_s[last], np.radians(log.output[last]), 1)[0])
+    return mass_kg * GRAVITY_M_S2 * SPOOL_RADIUS_M, meter.read()[1], speed > TURNS_RAD_S
+
+
+def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, winding_s: float) -> tuple[NoLoad, float]:
+    """Steady voltage, speed and current without load, and the time constant on the way there."""
+    ticks = round(STEP_S / bench.sample_time_s) + 1
+    volt = power / 100.0 * supply_V
+    run = play_target(bench, OpenLaw(np.full(ticks, volt), 100.0 / supply_V), STEP_S, supply_V)
+    fit = fit_step(run, volt, winding_s)
+    assert run.current_A is not None
+    current = float(np.mean(run.current_A[run.time_s > run.time_s[-1] - READ_S]))
+    meter = NoLoad(round(volt / METER_V) * METER_V, fit.steady_rad_s, round(current / METER_A) * METER_A)
+    return meter, fit.tau_s
+
+
+def _run_down(bench: Bench) -> tuple[float, float]:
+    """Time to 37 % of the speed once the input is off (standby, the winding open), and the speed before."""
+    signal = Pulses(duration_s=ON_S + OFF_S, levels=(100.0,), on_s=ON_S, off_s=OFF_S, rest="standby")
+    log = bench.run(Experiment("run_down", command=(signal,)))
+    speed = smooth_speed(log.time_s, log.output - log.output[0])
+    off = log.time_s >= ON_S + bench.sample_time_s
+    before = float(np.mean(speed[(log.time_s > ON_S - READ_S) & (log.time_s < ON_S)]))
+    slow = np.flatnonzero(speed[off] <= np.exp(-1.0) * before)
+    if not slow.size:
+        raise DataError(f"the shaft runs down slower than {OFF_S:g} s to 37 % of its speed")
+    return float(log.time_s[off][slow[0]] - ON_S - bench.sample_time_s), before

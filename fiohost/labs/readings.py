@@ -1,0 +1,208 @@
+"""Readings of meters at a motor: the tables of the text's characterisation, from a TOML or CSV file or from a bench.
+
+Five kinds of rows: ``stall`` (voltage, current), ``lift`` (torque or mass on the spool, current), ``no_load``
+(voltage, speed, current), ``time_constant`` (time to 63.2 % of the speed) and ``run_down`` (time to 37 % of it with the
+input off).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fiohost.bench.table import read_cells
+from fiohost.errors import ConfigError
+from fiohost.settings import nearest, read_toml
+
+SCHEMA = "fiohost.characterisation/1"
+PORTS = ("A", "B")
+GRAVITY_M_S2 = 9.8  # the text's: 0.067 kg weighs 0.6566 N
+SPOOL_RADIUS_M = 0.013575  # table D-5
+MOST_ROWS = 1000
+LARGEST = 1e6
+# kind -> the keys that its rows may have beside port, power_pct and note
+KINDS = {
+    "stall": ("voltage_V", "wire_voltage_V", "current_A"),
+    "lift": ("mass_kg", "torque_Nm", "spool_radius_m", "current_A", "stalled"),
+    "no_load": ("voltage_V", "wire_voltage_V", "speed_rad_s", "current_A"),
+    "time_constant": ("time_s",),
+    "run_down": ("time_s", "from_rad_s"),
+}
+COMMON = ("port", "power_pct", "note")
+Row = Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class NoLoad:
+    """A steady speed without load; the current is None where nobody read it."""
+
+    voltage_V: float
+    speed_rad_s: float
+    current_A: float | None
+
+
+@dataclass
+class Readings:
+    """All readings of one port. Voltages are the armature's; torques of a lift oppose the motor."""
+
+    port: str = "A"
+    supply_V: float = 4.5
+    source: str = ""
+    stall: list[tuple[float, float]] = field(default_factory=list)  # V, A
+    lift: list[tuple[float, float]] = field(default_factory=list)  # N m, A; turning
+    lift_stalled: list[tuple[float, float]] = field(default_factory=list)
+    no_load: list[NoLoad] = field(default_factory=list)
+    time_constants_s: list[float] = field(default_factory=list)
+    run_down: list[tuple[float, float | None]] = field(default_factory=list)  # s to 37 %, from rad/s
+
+    @classmethod
+    def load(cls, path: Path, port: str = "A") -> Readings:
+        """Read a ``.toml`` (``fiohost.characterisation/1``) or a CSV with a column ``kind``; rows of another port are
+        left out. Raises ConfigError or LogError.
+        """
+        check_port(port)
+        if path.suffix == ".toml":
+            return cls._of_toml(path, port)
+        found = cls(port=port, source=str(path))
+        rows, _ = read_cells(path, MOST_ROWS)
+        known = {"kind", *COMMON, *(key for keys in KINDS.values() for key in keys)}
+        for key in rows[0]:
+            if key not in known:
+                raise ConfigError(f"{path}: unknown column {key!r}; {nearest(key, known)}")
+        for i, row in enumerate(rows):
+            kind = row.get("kind", "").strip()
+            if kind not in KINDS:
+                raise ConfigError(f"{path} row {i + 1}: kind = {kind[:40]!r} is unknown; {nearest(kind, KINDS)}")
+            filled = {key: text for key, text in row.items() if key != "kind" and text.strip()}
+            found._add(kind, filled, f"{path} row {i + 1}")
+        return found
+
+    @classmethod
+    def _of_toml(cls, path: Path, port: str) -> Readings:
+        top = read_toml(path)
+        top.schema(SCHEMA)
+        found = cls(port=port, supply_V=top.number("supply_V", 4.5, low=0.1, high=1000.0),
+                    source=top.text("source", str(path)))  # fmt: skip
+        radius = top.number("spool_radius_m", SPOOL_RADIUS_M, low=1e-4, high=10.0)
+        for kind in KINDS:
+            rows = top.raw(kind, [])
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise top.fail(f"{kind} is not a list of tables [[{kind}]] or {{...}}")
+            if len(rows) > MOST_ROWS:
+                raise top.fail(f"{kind} has more than {MOST_ROWS} rows")
+            for i, row in enumerate(rows):
+                found._add(kind, row, f"{path} [[{kind}]] {i + 1}", radius)
+        top.finish()
+        return found
+
+    def _add(self, kind: str, row: Row, where: str, spool_radius_m: float = SPOOL_RADIUS_M) -> None:
+        """Take one row in, if it belongs to this port. Raises ConfigError."""
+        known = {*KINDS[kind], *COMMON}
+        for key in row:
+            if key not in known:
+                raise ConfigError(f"{where}: unknown key {key!r} in a row of {kind}; {nearest(key, known)}")
+        port = str(row.get("port", self.port)).strip()
+        check_port(port, where)
+        if port != self.port:
+            return
+        cells = _Cells(row, where)
+        if kind == "stall":
+            self.stall.append((_voltage(cells), cells.need("current_A")))
+        elif kind == "lift":
+            place = self.lift_stalled if _flag(row.get("stalled", False), where) else self.lift
+            place.append((_torque(cells, spool_radius_m), cells.need("current_A")))
+        elif kind == "no_load":
+            self.no_load.append(NoLoad(_voltage(cells), cells.need("speed_rad_s"), cells.number("current_A")))
+        elif kind == "time_constant":
+            self.time_constants_s.append(cells.need("time_s", above=0.0))
+        else:
+            self.run_down.append((cells.need("time_s", above=0.0), cells.number("from_rad_s")))
+
+    def write(self, path: Path) -> None:
+        """Write the TOML that :meth:`load` reads. Raises ConfigError."""
+        source = self.source.replace("\\", "/").replace('"', "'")
+        lines = [f'schema = "{SCHEMA}"', f'source = "{source}"', f"supply_V = {self.supply_V!r}"]
+
+        def rows(kind: str, keys: Sequence[str], values: Sequence[Sequence[float | None]], more: str = "") -> None:
+            for row in values:
+                told = ", ".join(f"{k} = {v:.7g}" for k, v in zip(keys, row, strict=True) if v is not None)
+                lines.append(f'  {{ port = "{self.port}", {told}{more} }},')
+
+        for kind, keys, values, stalled in (
+            ("stall", ("voltage_V", "current_A"), self.stall, []),
+            ("lift", ("torque_Nm", "current_A"), self.lift, self.lift_stalled),
+            ("no_load", ("voltage_V", "speed_rad_s", "current_A"),
+             [(r.voltage_V, r.speed_rad_s, r.current_A) for r in self.no_load], []),
+            ("time_constant", ("time_s",), [(t,) for t in self.time_constants_s], []),
+            ("run_down", ("time_s", "from_rad_s"), self.run_down, []),
+        ):  # fmt: skip
+            lines += ["", f"{kind} = ["]
+            rows(kind, keys, values)
+            rows(kind, keys, stalled, ", stalled = true")
+            lines.append("]")
+        try:
+            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        except OSError as exc:
+            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+
+
+def check_port(port: str, where: str = "") -> None:
+    if port not in PORTS:
+        raise ConfigError(f"{where + ': ' if where else ''}port {port[:40]!r} is unknown; {nearest(port, PORTS)}")
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """The numbers of one row."""
+
+    row: Row
+    where: str
+
+    def number(self, key: str) -> float | None:
+        value = self.row.get(key)
+        if value is None:
+            return None
+        try:
+            found = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
+            found = math.nan
+        if not abs(found) <= LARGEST:
+            raise ConfigError(f"{self.where}: {key} = {str(value)[:40]!r} is not a number within +-{LARGEST:g}")
+        return found
+
+    def need(self, key: str, above: float = -math.inf) -> float:
+        found = self.number(key)
+        if found is None:
+            raise ConfigError(f"{self.where}: {key} is missing")
+        if not found > above:
+            raise ConfigError(f"{self.where}: {key} = {found:g} is not above {above:g}")
+        return found
+
+
+def _voltage(cells: _Cells) -> float:
+    """The armature's voltage: as given, or half of that between the two wires (the text's Eq. D-1)."""
+    own, wires = cells.number("voltage_V"), cells.number("wire_voltage_V")
+    if (own is None) == (wires is None):
+        raise ConfigError(f"{cells.where}: give voltage_V (the armature's) or wire_voltage_V (halved), one of them")
+    return own if own is not None else 0.5 * float(wires or 0.0)
+
+
+def _torque(cells: _Cells, spool_radius_m: float) -> float:
+    own, mass = cells.number("torque_Nm"), cells.number("mass_kg")
+    if (own is None) == (mass is None):
+        raise ConfigError(f"{cells.where}: give torque_Nm or mass_kg, one of them")
+    radius = cells.number("spool_radius_m")
+    return (
+        own if own is not None else float(mass or 0.0) * GRAVITY_M_S2 * (spool_radius_m if radius is None else radius)
+    )
+
+
+def _flag(value: object, where: str) -> bool:
+    if isinstance(value, bool):
+        return value
+    text = str(value).strip().lower()
+    if text not in ("true", "false", "1", "0"):
+        raise ConfigError(f"{where}: stalled = {text[:40]!r} is not true or false")
+    return text in ("true", "1")
