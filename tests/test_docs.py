@@ -13,6 +13,7 @@ import pytest
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.imports import TableMap
 from fiohost.bench.signals import KINDS
+from fiohost.circle.readings import read_readings
 from fiohost.cli.main import COMMANDS, cli
 from fiohost.control.settings import ControlSettings
 from fiohost.motor.model import Model
@@ -80,6 +81,8 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             ControlSettings.load(path)
         case "fiohost.model/1":
             Model.read(path)
+        case "fiohost.readings/1":
+            read_readings(path)
         case "firmware_model.plant/1":
             from firmware_model.plants import load_plant
 

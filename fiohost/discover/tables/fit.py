@@ -188,22 +188,34 @@ class _Problem:
         if not len(x):
             return x
         reach = np.linalg.norm(self.columns(x), axis=0)
+        seen = reach > SEEN  # what no figure shows stays where it is
+        if not seen.any():
+            return x
         size = REACH * np.sqrt(squares(self.values(x) - measured) + len(measured)) / np.maximum(reach, 1e-12)
         size = np.minimum(size, np.maximum(MOST_REACH * np.abs(x), self.steps))
-        size = np.where(x + size > self.upper, -size, size)
-        simplex = np.vstack((x, x + np.diag(size)))
+        size = np.where(x + size > self.upper, -size, size)[seen]
+
+        def whole(v: np.ndarray) -> np.ndarray:
+            out = x.copy()
+            out[seen] = v
+            return out
 
         def left(v: np.ndarray) -> float:
-            return squares(self.values(v) - measured)
+            return squares(self.values(whole(v)) - measured)
 
         found = minimize(
             left,
-            x,
+            x[seen],
             method="Nelder-Mead",
-            bounds=list(zip(self.lower, self.upper, strict=True)),
-            options={"initial_simplex": simplex, "maxfev": looks, "fatol": 1e-3, "xatol": np.inf},
+            bounds=list(zip(self.lower[seen], self.upper[seen], strict=True)),
+            options={
+                "initial_simplex": np.vstack((x[seen], x[seen] + np.diag(size))),
+                "maxfev": looks,
+                "fatol": 1e-3,
+                "xatol": np.inf,
+            },
         )
-        return np.asarray(found.x)
+        return whole(np.asarray(found.x))
 
 
 def vector(evidence: Evidence, model: Model, constants: Sequence[Sequence[float]] | None = None) -> np.ndarray:
