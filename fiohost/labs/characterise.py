@@ -46,7 +46,8 @@ class Line:
     spare: int
 
     @classmethod
-    def fit(cls, x: np.ndarray, y: np.ndarray, through_zero: bool = False) -> Line:
+    def fit(cls, x: np.ndarray, y: np.ndarray, y_step: float, x_step: float = 0.0, through_zero: bool = False) -> Line:
+        """Fit a line. Scatter is never taken for less than what the steps of both meters make."""
         basis = x[:, None] if through_zero else np.column_stack([x, np.ones_like(x)])
         if len(x) < basis.shape[1] or np.linalg.matrix_rank(basis) < basis.shape[1]:
             raise DataError("the readings of a line all lie at one place: read at different powers or loads")
@@ -55,7 +56,8 @@ class Line:
         covariance = np.zeros((2, 2))
         if spare > 0:
             rest = y - basis @ found
-            own = float(rest @ rest) / spare * np.linalg.inv(basis.T @ basis)
+            least = (y_step**2 + (float(found[0]) * x_step) ** 2) / 12.0  # of values rounded to a step
+            own = max(float(rest @ rest) / spare, least) * np.linalg.inv(basis.T @ basis)
             covariance[: len(found), : len(found)] = own
         return cls(float(found[0]), 0.0 if through_zero else float(found[1]), covariance, spare)
 
@@ -116,12 +118,13 @@ def solve(readings: Readings) -> tuple[dict[str, Constant], Lines]:
             raise DataError(f"{len(rows)} readings of {kind} of port {readings.port}: {least} at least are needed")
     stall = np.array(readings.stall)
     lift = np.array(readings.lift)
+    ampere, volts = readings.meter_A, readings.meter_V
     volt, speed, current = _columns(readings)
     lines = Lines(
-        Line.fit(stall[:, 1], stall[:, 0], through_zero=True),
-        Line.fit(lift[:, 0], lift[:, 1]),
-        Line.fit(speed, current) if len(speed) >= LEAST_LINE else None,
-        Line.fit(speed, volt) if len(speed) >= LEAST_LINE else None,
+        Line.fit(stall[:, 1], stall[:, 0], volts, ampere, through_zero=True),
+        Line.fit(lift[:, 0], lift[:, 1], ampere),
+        Line.fit(speed, current, ampere) if len(speed) >= LEAST_LINE else None,
+        Line.fit(speed, volt, volts) if len(speed) >= LEAST_LINE else None,
         float(np.mean(current / speed)),
     )
     if lines.stall.slope <= 0.0 or lines.lift.slope <= 0.0:
@@ -136,7 +139,7 @@ def solve(readings: Readings) -> tuple[dict[str, Constant], Lines]:
         friction[0] = lines.speed_current.slope, lines.speed_current.intercept
         friction[1:] = lines.speed_current.draw(rng, DRAWS)
     # Kb from (V - R i) = Kb w, linear in R; its own scatter beside that of R
-    at_R = Line.fit(speed, volt - R[0] * current, through_zero=True)
+    at_R = Line.fit(speed, volt - R[0] * current, math.hypot(volts, R[0] * ampere), through_zero=True)
     share = float(speed @ current) / float(speed @ speed)
     own = np.concatenate(([0.0], at_R.draw(rng, DRAWS)[:, 0] - at_R.slope))
     Kb = at_R.slope - (R - R[0]) * share + own
@@ -328,6 +331,7 @@ def _draw(readings: Readings, found: Mapping[str, Constant], lines: Lines) -> Fi
                Curve(i, R * i, f"Ra = {R:.3f} ohm", 0, "model")], "armature voltage (V)", "stall current (A)", "Stall"),
         Panel(lifted, "current (A)", "torque of the mass (N m)", "Lifting"),
         Panel(emf, "voltage (V)", "speed (rad/s)", "No load: back-emf"),
-        Panel(friction, "torque of friction (N m)", "speed (rad/s)", "No load: friction"),
+        Panel(friction, "torque of friction (N m)", "speed (rad/s)", "No load: friction",
+              y_limits=(0.0, 1.3 * Ki * float(np.max(np.abs(current))))),
     ]  # fmt: skip
     return plot_panels(panels, f"Characterisation, {readings.source}", columns=1, panel_height=2.6)

@@ -16,10 +16,9 @@ from fiohost.bench.signals import Pulses
 from fiohost.errors import DataError
 from fiohost.labs.open_loop_step import fit_step
 from fiohost.labs.play import OpenLaw, play_target, smooth_speed
-from fiohost.labs.readings import GRAVITY_M_S2, SPOOL_RADIUS_M, NoLoad, Readings
+from fiohost.labs.readings import GRAVITY_M_S2, METER_A, METER_V, SPOOL_RADIUS_M, NoLoad, Readings
 from fiohost.transport.instruments import Instruments
 
-METER_A, METER_V = 0.001, 0.01
 STALL_POWERS = (10.0, 20.0, 30.0, -10.0, -20.0, -30.0)  # table D-4
 MASSES_KG = (0.0, 0.067, 0.119, 0.173, 0.234, 0.293, 0.353, 0.413, 0.471, 0.532, 0.643, 0.702)  # table D-5
 LIFT_POWER = 50.0

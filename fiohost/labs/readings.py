@@ -20,6 +20,7 @@ SCHEMA = "fiohost.characterisation/1"
 PORTS = ("A", "B")
 GRAVITY_M_S2 = 9.8  # the text's: 0.067 kg weighs 0.6566 N
 SPOOL_RADIUS_M = 0.013575  # table D-5
+METER_A, METER_V = 0.001, 0.01
 MOST_ROWS = 1000
 LARGEST = 1e6
 # kind -> the keys that its rows may have beside port, power_pct and note
@@ -50,6 +51,8 @@ class Readings:
     port: str = "A"
     supply_V: float = 4.5
     source: str = ""
+    meter_A: float = METER_A  # one step of the meters: what is read is no better
+    meter_V: float = METER_V
     stall: list[tuple[float, float]] = field(default_factory=list)  # V, A
     lift: list[tuple[float, float]] = field(default_factory=list)  # N m, A; turning
     lift_stalled: list[tuple[float, float]] = field(default_factory=list)
@@ -84,7 +87,8 @@ class Readings:
         top = read_toml(path)
         top.schema(SCHEMA)
         found = cls(port=port, supply_V=top.number("supply_V", 4.5, low=0.1, high=1000.0),
-                    source=top.text("source", str(path)))  # fmt: skip
+                    source=top.text("source", str(path)), meter_A=top.number("meter_A", METER_A, low=0.0, high=10.0),
+                    meter_V=top.number("meter_V", METER_V, low=0.0, high=100.0))  # fmt: skip
         radius = top.number("spool_radius_m", SPOOL_RADIUS_M, low=1e-4, high=10.0)
         for kind in KINDS:
             rows = top.raw(kind, [])
@@ -124,6 +128,7 @@ class Readings:
         """Write the TOML that :meth:`load` reads. Raises ConfigError."""
         source = self.source.replace("\\", "/").replace('"', "'")
         lines = [f'schema = "{SCHEMA}"', f'source = "{source}"', f"supply_V = {self.supply_V!r}"]
+        lines += [f"meter_A = {self.meter_A!r}", f"meter_V = {self.meter_V!r}"]
 
         def rows(kind: str, keys: Sequence[str], values: Sequence[Sequence[float | None]], more: str = "") -> None:
             for row in values:
