@@ -15,8 +15,9 @@ from fiohost.bench.signals import Constant, Square
 from fiohost.cli.main import cli
 from fiohost.control.closed_loop import Plant
 from fiohost.control.design import deadband_of, varied, with_deadband
+from fiohost.control.jitter import reversals
 from fiohost.control.settings import ControlSettings
-from fiohost.control.specification import Specification, judge, outcomes, reversals
+from fiohost.control.specification import Specification, judge, outcomes
 from fiohost.errors import ConfigError, FiohostError
 from fiohost.motor.model import Model
 

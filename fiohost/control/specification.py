@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.control.closed_loop import Loop, LoopRun, Plant, run_loop
+from fiohost.control.jitter import reversals
 from fiohost.control.metrics import TAIL, step_figures
 from fiohost.errors import ConfigError
 from fiohost.motor.simulate import Start
@@ -58,13 +59,6 @@ class StepOutcome:
 
     def meets(self, asked: Specification) -> bool:
         return max(self.ratios(asked)) < 1.0 and self.reversals_per_s <= MOST_REVERSALS_PER_S
-
-
-def reversals(duty_pct: np.ndarray) -> int:
-    """How often a duty (n) changes its sign, zeros passed over."""
-    signs = np.sign(duty_pct)
-    signs = signs[signs != 0.0]
-    return int(np.count_nonzero(np.diff(signs)))
 
 
 def judge(

@@ -1,4 +1,4 @@
-"""Identified loops as a picture: measured and simulated angle over two steps, and the error over the whole log."""
+"""Identified loops as a picture: measured and simulated angle after a step, and the error over the whole log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fiohost.errors import FiohostError
 from fiohost.identify.logs import Curve as LogCurve
 from fiohost.report.panels import Curve, Panel, plot_panels
 
-STEPS_SHOWN = 2
+SHOWN = 0.4  # of the time from one step to the next
 
 
 def plot_identification(title: str, curves: Mapping[str, LogCurve]) -> Figure:
@@ -40,15 +40,15 @@ def plot_identification(title: str, curves: Mapping[str, LogCurve]) -> Figure:
 
 
 def _window(curve: LogCurve) -> tuple[float, float]:
-    """Two steps of the reference with a little before them; without a reference, all."""
+    """A step of the reference until its response is over; without a reference, or with one step, all."""
     begin, end = float(curve.time_s[0]), float(curve.time_s[-1])
     if curve.ref_deg is None:
         return begin, end
     edges = curve.time_s[1:][np.diff(curve.ref_deg) != 0.0]
-    if edges.size <= STEPS_SHOWN:
+    if edges.size < 2:
         return begin, end
-    length = float(edges[STEPS_SHOWN] - edges[0])
-    return float(edges[0]) - 0.05 * length, float(edges[STEPS_SHOWN]) - 0.02 * length
+    length = float(edges[1] - edges[0])
+    return float(edges[0]) - 0.03 * length, float(edges[0]) + SHOWN * length
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
