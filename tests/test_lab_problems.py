@@ -15,7 +15,7 @@ from scipy import signal
 from scipy.optimize import brentq, minimize_scalar
 
 from fiohost.cli.main import cli
-from fiohost.errors import ConfigError
+from fiohost.errors import ConfigError, DataError
 from fiohost.labs.problems.catalogue import PROBLEMS, problem
 
 R, L, K, J, B = 2.0, 0.008, 0.1, 4e-4, 1e-3  # problem D-1; both motor constants are K
@@ -262,3 +262,11 @@ def test_the_motor_of_the_problems_is_that_of_the_plant() -> None:
     assert problem("D-1").numbers["R_ohm"] == R
     with pytest.raises(ConfigError):
         problem("7.5")
+
+
+def test_a_motor_that_cannot_be_followed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DataError, match="cannot be computed"):
+        PROBLEMS[4].solve({"L_H": 1e-12})
+    monkeypatch.setattr("fiohost.labs.problems.servo.MOST_RATES", 100)
+    with pytest.raises(DataError, match="too fast"):
+        PROBLEMS[1].solve()

@@ -27,6 +27,7 @@ from fiohost.labs.result import LabResult, Table
 
 THIRD_POLE = 2.0  # of the design by poles, as a multiple of the pair's frequency
 LEAST_KI = 1e-3
+MOST_KI = 1e3  # times KP
 KD_RANGE = (0.02, 2.0)
 
 
@@ -79,9 +80,9 @@ def on_error(motor: MotorConstants, n: Numbers) -> Gains:
         def over(ki: float) -> float:
             return min(overshoot_pct(motor, Gains(kp, ki, kd), n["seconds"]), 1e3) - n["overshoot_pct"]
 
-        if over(LEAST_KI) >= 0.0:
+        if over(LEAST_KI) >= 0.0 or over(MOST_KI * kp) <= 0.0:
             return None
-        return Gains(kp, float(brentq(over, LEAST_KI, 1e3 * kp, xtol=1e-6)), kd)
+        return Gains(kp, float(brentq(over, LEAST_KI, MOST_KI * kp, xtol=1e-6)), kd)
 
     def cost(log_kd: float) -> float:
         found = with_kd(float(np.exp(log_kd)))

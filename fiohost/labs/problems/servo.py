@@ -10,8 +10,10 @@ endless voltage in the moment of a step. Solved to nine digits, limits included.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import count
 from math import inf, nextafter
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from fiohost.labs.constants import MotorConstants
 
 FloatArray = NDArray[np.float64]
 
+MOST_RATES = 400_000  # evaluations: far more than any response of the text needs
 POINTS = 20_001  # of a response: a crossing between two is found to a part in ten thousand of a time constant
 OPEN, SPEED, POSITION = "voltage", "speed", "position"
 
@@ -54,12 +57,21 @@ class Servo:
         times = np.linspace(0.0, duration_s, POINTS)
         states = np.empty((POINTS, 4))
         state = np.zeros(4)
+        left = count(MOST_RATES, -1)
+
+        def rates(time_s: float, state: FloatArray, load_Nm: float) -> tuple[float, float, float, float]:
+            if next(left) < 0:
+                raise DataError(f"this loop is too fast to be followed over {duration_s:g} s: make the run shorter")
+            return self._rates(state, load_Nm)
+
         turns = sorted({0.0, min(self.load_from_s, duration_s), duration_s})
         for begin, end in zip(turns, turns[1:], strict=False):
             load = self.load_Nm if begin >= self.load_from_s else 0.0
             own = (times >= begin) & (times <= end)
             at = np.unique(np.concatenate((times[own], [end])))
-            found = solve_ivp(self._rates, (begin, end), state, "LSODA", at, args=(load,), rtol=1e-9, atol=1e-12)
+            with catch_warnings():
+                simplefilter("ignore")  # what they say is in found.message
+                found = solve_ivp(rates, (begin, end), state, "LSODA", at, args=(load,), rtol=1e-9, atol=1e-12)
             if not found.success or not np.isfinite(found.y).all():
                 raise DataError(f"the response cannot be computed: {found.message}")
             states[own] = found.y.T[: int(own.sum())]
@@ -82,7 +94,7 @@ class Servo:
             wanted = self.amplifier * wanted
         return np.clip(wanted, -self.limit_V, self.limit_V)
 
-    def _rates(self, time_s: float, state: FloatArray, load_Nm: float) -> tuple[float, float, float, float]:
+    def _rates(self, state: FloatArray, load_Nm: float) -> tuple[float, float, float, float]:
         motor = self.motor
         amps, speed, angle, gathered = state
         volts = float(self._volts(speed, angle, gathered))
