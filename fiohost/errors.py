@@ -39,7 +39,11 @@ class TelemetryTimeoutError(TransportError):
 
 
 class ReportError(TransportError):
-    """A report does not fit its layout."""
+    """A report does not fit its layout; ``reason`` is one word for counting: length, header, crc, values, ..."""
+
+    def __init__(self, message: str, reason: str = "values") -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 class LimitError(FiohostError):

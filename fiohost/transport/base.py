@@ -1,8 +1,9 @@
 """What every medium offers to the bench: open, send, receive, close, and its errors.
 
-A transport carries whole reports as bytes and knows nothing of what they mean. Its errors are those of
-:mod:`fiohost.errors`: TelemetryTimeoutError where nothing came in time, DisconnectedError where the board went away,
-TransportError otherwise.
+A transport carries bytes and knows nothing of what they mean: whole reports (HID), or, where ``stream`` is set, pieces
+of a stream as they come (serial). The room of the wire makes messages of both. A report with an ID has it as its first
+byte, in both directions. Errors are those of :mod:`fiohost.errors`: TelemetryTimeoutError where nothing came in time,
+DisconnectedError where the board went away, TransportError otherwise.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Self
 class Transport(ABC):
     """One line to one board.
 
+    ``stream``: ``receive`` gives bytes without borders between reports, oldest first, none left out.
     ``lock_step``: the board does one task step for each ``receive``, whenever that is (a simulated board); otherwise
     it keeps its own time. ``facts`` are metadata for the log, none of which says what is in a sealed board.
     """
@@ -23,6 +25,7 @@ class Transport(ABC):
     name: str = ""  # the target, as people write it
     identity: str = ""  # which board it is: serial number, or what a simulated one may say of itself
     lock_step: bool = False
+    stream: bool = False
     facts: Mapping[str, str]
     counts_per_rev: int | None = None  # where the board is known better than by its profile
     passed_over: int = 0  # reports that came with a newer one and were never read
@@ -37,8 +40,9 @@ class Transport(ABC):
 
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes:
-        """The newest report of the board. Raises TelemetryTimeoutError after *timeout_s*, DisconnectedError.
+        """The newest report of the board, or of a stream what has come since the last call, at least one byte.
 
+        Raises TelemetryTimeoutError after *timeout_s*, DisconnectedError.
         A board in lock step does one task step and may send nothing in it: TelemetryTimeoutError.
         """
 
