@@ -202,18 +202,18 @@ def predicted_run_down(B: float, Tc: float, J: float, from_rad_s: float) -> floa
 def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
     """The constants as a result. Raises DataError."""
     found, lines = solve(readings)
-    why = _why(found, lines, readings)
     rows: list[list[Cell]] = []
     for name, c in found.items():
         text = TEXT.get(name)
         differs = None if text is None else 100.0 * (c.value / text - 1.0)
-        rows.append([name, c.unit, c.value, c.low, c.high, c.n, text, differs, why[name]])
-    columns = ("constant", "unit", "found", "95 % from", "to", "readings", "text", "differs %", "why")
+        rows.append([name, c.unit, c.value, c.low, c.high, c.n, text, differs])
+    columns = ("constant", "unit", "found", "95 % from", "to", "readings", "text", "differs %")
     tables = [
         Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows),
         _powers(readings, found),
     ]
-    answers = []
+    why = "; ".join(f"{name}: {text}" for name, text in _why(found, lines, readings).items())
+    answers = [Answer("How was each constant found, and where would the text's way have led?", why)]
     values = {name: {"value": c.value, "unit": c.unit, "ci95": [c.low, c.high], "readings": c.n, "text": TEXT.get(name)}
               for name, c in found.items()}  # fmt: skip
     if readings.run_down and "J" in found:
@@ -225,12 +225,11 @@ def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
                      "voltages that are not halved")  # fmt: skip
     if lines.speed_current is None:
         notes.append(
-            "fewer than three no-load speeds: dry friction cannot be told from viscous, all is taken for viscous"
+            "fewer than three no-load speeds: dry friction cannot be told from viscous, all is taken for viscous; were "
+            f"all of it dry, Ki would be {1.0 / lines.lift.slope:.4f} N m/A"
         )
     if readings.lift_stalled:
-        notes.append(
-            f"{len(readings.lift_stalled)} stalled lifts are left out of the line: there friction helps to hold"
-        )
+        notes.append(f"stalled lifts left out of the line ({len(readings.lift_stalled)}): there friction helps to hold")
     return LabResult(
         name="characterise",
         title="Constants of the motor from readings",

@@ -14,6 +14,8 @@ from fiohost.errors import FiohostError
 if TYPE_CHECKING:
     from fiohost.labs.result import Cell, LabResult, Table
 
+MOST_COLUMNS = 1000
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -75,4 +77,7 @@ def _print_table(table: Table, out: Output) -> None:
         shown.add_column(column, justify="right" if numbers else "left")
     for row in table.rows:
         shown.add_row(*(cell_text(cell) for cell in row))
-    out.console.print(shown)
+    console = out.console
+    whole = console.measure(shown, options=console.options.update(width=MOST_COLUMNS)).maximum
+    console.width = max(console.width, whole)  # a line may be long, a number is never cut
+    console.print(shown)
