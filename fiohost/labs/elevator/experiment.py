@@ -86,7 +86,7 @@ def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], Non
     files = {}
     for part in series:
         for number, (name, design) in enumerate(part.designs.items(), start=1):
-            said(f"{part.title}: {design.label}")
+            said(f"up and down: {design.label}")
             path = folder / f"elevator_{part.key}_{number}.csv"
             part.runs[name] = _run(bench, plan, design, up_and_down, path)
             files[f"log of {design.label}"] = str(path)

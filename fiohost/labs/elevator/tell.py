@@ -63,8 +63,8 @@ def notes(plan: Plan) -> tuple[str, ...]:
     return (
         f"Model: {MOTOR.source}, load {LOAD_NM:g} N m against upward motion, full duty {MOTOR.supply_V:g} V, {limit} "
         "(the text's simulation has one of 1 A, the plant nxt_elevator has none).",
-        "Overshoot (PO) and settling to 5 % are of the response's own final value (Eq. D-30), a rise is from 10 to 90 %; a target "
-        "is read at 0.5 deg, 0.012 cm. Height is zero where the car stands when a run begins.",
+        "Overshoot (PO) and settling to 5 % are of the response's own final value (Eq. D-30), rise from 10 to 90 %; "
+        "a target is read at 0.5 deg, 0.012 cm. Height is zero where the car stands when a run begins.",
         f"Floors are numbered 1 to {FLOORS}; the text counts 0 to {FLOORS - 1}.",
     )
 
@@ -86,10 +86,11 @@ def _meeting(part: Series) -> str:
     for run in part.runs.values():
         made = list(run.moves())
         faults = {on: sorted({fault for where, move in made if where == on for fault in move.faults}) for on, _ in made}
-        verdicts = " and ".join(
-            f"{'meets them' if not why else 'fails by ' + ' and '.join(why)} on the {on}" for on, why in faults.items()
-        )
-        said.append(f"{run.design.label} {verdicts}")
+        verdicts = [f"fails by {' and '.join(why)}" if why else "meets them" for why in faults.values()]
+        same = len(set(verdicts)) == 1
+        where = ["on both"] if same else [f"on the {on}" for on in faults]
+        told = (f"{verdict} {on}" for verdict, on in zip(verdicts, where, strict=False))
+        said.append(f"{run.design.label} {' and '.join(told)}")
     return "; ".join(said) + "." if said else "None was asked for."
 
 
