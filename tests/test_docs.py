@@ -12,6 +12,7 @@ import pytest
 
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.imports import TableMap
+from fiohost.bench.profile import BenchProfile
 from fiohost.bench.signals import KINDS
 from fiohost.circle.readings import read_readings
 from fiohost.cli.main import COMMANDS, cli
@@ -77,6 +78,8 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             TableMap.load(path)
         case "fiohost.experiment/1":
             Experiment.load(path)
+        case "fiohost.bench/1":
+            BenchProfile.load(path)
         case "fiohost.controller/1":
             ControlSettings.load(path)
         case "fiohost.model/1":

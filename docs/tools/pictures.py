@@ -11,13 +11,18 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from fiohost.bench.connect import connect
+from fiohost.bench.deadband import measure_deadband
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.loop import Tick
 from fiohost.bench.signals import Steps
 from fiohost.circle.close import close_loop
+from fiohost.labs.design import design_lab
+from fiohost.labs.identification import identification
+from fiohost.labs.precompensation import precompensation
 from fiohost.panel.link import READING_S, Facts, News, Reading
 from fiohost.panel.view import DPI, SIZE_IN, View
 from fiohost.report.circle import confirm_series
+from fiohost.report.deadband import save_deadband_plot
 from fiohost.report.plots import as_png, plot_series
 
 FOLDER = Path(__file__).resolve().parent.parent / "images"
@@ -51,8 +56,26 @@ def panel() -> None:
     Image.fromarray(np.asarray(canvas.buffer_rgba())).save(FOLDER / "panel.png", optimize=True)
 
 
+def position_labs() -> None:
+    """The pictures of the deadband, precompensation, identification and design pages."""
+    with connect("sim:sealed", seed=SEED) as bench:
+        uneven = measure_deadband(bench, 2, angles=6)
+    save_deadband_plot(uneven, "a board with a weight", FOLDER / "lab_deadband.png")
+    drawn = {}
+    with tempfile.TemporaryDirectory() as name:
+        with connect("sim") as bench:
+            drawn |= precompensation(bench, Path(name))[0].figures
+        with connect("sim") as bench:
+            drawn |= identification(bench, Path(name)).figures
+        with connect("sim") as bench:
+            drawn["design"] = design_lab(bench, Path(name)).figures["design_90_270"]
+        for picture, draw in drawn.items():
+            draw().savefig(FOLDER / f"lab_{picture}.png", dpi=90)
+
+
 def main() -> None:
     panel()
+    position_labs()
     with tempfile.TemporaryDirectory() as folder, connect("sim:sealed", seed=SEED) as bench:
         circle = close_loop(bench, Path(folder), say=print)
         FOLDER.mkdir(exist_ok=True)

@@ -15,6 +15,7 @@ from fiohost.motor.simulate import Start
 
 MOST_REVERSALS_PER_S = 2.0  # of the duty once the response should rest: more is jitter or a limit cycle
 RESTS = 0.5  # share of a run after which it should
+NO_OVERSHOOT_PCT = 1e-9  # the last digits of a mean
 OUT_OF_REACH = 20.0  # no ratio counts more than this
 
 
@@ -75,7 +76,7 @@ def judge(
     tail = max(1, round(TAIL * len(y_deg)))
     return StepOutcome(
         step_deg=step,
-        overshoot_pct=figures.overshoot_pct,
+        overshoot_pct=figures.overshoot_pct if figures.overshoot_pct > NO_OVERSHOOT_PCT else 0.0,
         rise_s=figures.rise_s,
         settling_s=settling,
         error_deg=float(np.max(np.abs(to_deg - y_deg[-tail:]))),

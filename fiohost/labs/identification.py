@@ -141,9 +141,13 @@ def _result(
         ("with friction", gain.value, gain.half_width, tau.value, tau.half_width, zeta, omega,
          fit_pct, found.friction.rms)
     )  # fmt: skip
-    for what, simulated in (("friction", found.with_friction), ("no friction", found.without)):
-        rows += [_row(f"{method}, sim. {what}", one) for method, one in simulated.items()]
     columns = ("method", "K (deg/s/%)", "+-", "tau (s)", "+-", "zeta", "omega_n (rad/s)", "fit (%)", "rms (deg)")
+    simulated: list[Sequence[Cell]] = [
+        (loop, method, *_brief(one).values())
+        for loop, both in (("with friction", found.with_friction), ("without", found.without))
+        for method, one in both.items()
+    ]
+    loops = ("the loop simulated", "method", "K (deg/s/%)", "tau (s)", "zeta", "omega_n (rad/s)")
     values = {
         "kp_pct_per_deg": KP,
         "compensation_plus_pct": control.u_plus_pct,
@@ -161,7 +165,11 @@ def _result(
         name="identification",
         title=f"Closed-loop identification, square {LOW_DEG:g}/{HIGH_DEG:g} deg, period {PERIOD_S:g} s, C(s) = {KP:g}",
         target=bench.transport.name,
-        tables=(_step_table(log, control), Table("K and tau of the motor, +- half a 95 % interval", columns, rows)),
+        tables=(
+            _step_table(log, control),
+            Table("K and tau of the motor, +- half a 95 % interval", columns, rows),
+            Table("What both methods find on the simulated loop of the fit with friction", loops, simulated),
+        ),
         answers=_answers(control, found, level, gain.value, tau.value, log),
         notes=_notes(log, known, found),
         values=values,
