@@ -142,6 +142,23 @@ def test_what_cannot_be_identified_is_refused_with_its_reason() -> None:
         fiohost.identify(Log.from_columns(still, log.metadata))
 
 
+@pytest.mark.parametrize("method", ["step", "pem"])
+@pytest.mark.parametrize("rows", [slice(0, 1), slice(0, 15), slice(100, 130), slice(0, 1900)])
+def test_logs_of_next_to_nothing_are_refused_by_a_sentence(method: str, rows: slice) -> None:
+    log = loop_log(10.0, 0.08, periods=1)
+    short = Log.from_columns({n: v[rows] for n, v in log.columns.items()}, log.metadata)
+    with pytest.raises(DataError) as caught:
+        fiohost.identify(short, method)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reference_with_holes_is_refused() -> None:
+    log = loop_log(10.0, 0.08, periods=1)
+    holed = {**log.columns, "ref_deg": np.where(np.arange(len(log)) < 50, np.nan, log.columns["ref_deg"])}
+    with pytest.raises(DataError, match="50 of 4000"):
+        fiohost.identify(Log.from_columns(holed, log.metadata))
+
+
 def test_a_loop_at_its_limit_throughout_is_refused() -> None:
     log = loop_log(10.0, 0.08, limit_pct=5.0)
     with pytest.raises(DataError, match="at its limit"):

@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 import fiohost
+from fiohost.bench.experiment import Experiment
 from fiohost.bench.profile import BenchProfile
+from fiohost.bench.signals import Square
 from fiohost.cli.main import cli
 from fiohost.control.jitter import JITTER, LIMIT_CYCLE, REST, find_jitter
 from fiohost.control.settings import ControlSettings
@@ -43,6 +45,19 @@ def test_jitter_is_told_from_a_limit_cycle_by_its_swing(swing_deg: float, hz: fl
     assert found.frequency_hz == pytest.approx(hz, abs=0.6)
     with pytest.raises(DataError):
         find_jitter(times[:1], angle[:1], angle[:1], 0.5)
+
+
+@pytest.mark.parametrize("kind", ["pd", "pi", "pid"])
+def test_a_loop_goes_through_zero_without_a_jump(kind: str) -> None:
+    settings = ControlSettings(kind, 1.0, 0.02, 0.01, "angle", ki_pct_per_deg_s=0.2, tracking_s=1.0)
+    across = Square(duration_s=6.0, low=350.0, high=370.0, period_s=3.0)
+    with fiohost.connect("sim:ideal") as bench:
+        log = bench.run(Experiment("across", reference=(across,), control=settings))
+    later = log.time_s > 1.5
+    assert np.ptp(log.columns["pos"][later]) > 600  # the counter wrapped
+    assert np.max(np.abs(log.duty_pct[later])) < 60.0
+    assert np.max(np.abs(np.diff(log.output[later]))) < 5.0
+    assert np.max(np.abs(log.columns["ref_deg"] - log.output)[later]) < 40.0
 
 
 # ---- precompensation -----------------------------------------------------------------------------------------------

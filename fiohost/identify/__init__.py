@@ -1,4 +1,5 @@
-"""Estimation on arrays: records, predictions, simulation-error fits and intervals. Knows models, not logs or boards.
+"""Estimation on arrays: records, predictions, simulation-error fits and intervals. Knows models, not boards, and
+of logs only in ``logs``.
 
 ``fiohost.identify(...)`` is ``fiohost.identify.logs.identify``: the room has the name of its door, so it can be called.
 """

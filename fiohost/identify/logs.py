@@ -121,6 +121,10 @@ def identify(
             "the logs are of an open loop, without a reference: steps and the loop's form need a closed one (a square "
             "wave with a P controller); for an open loop use the method pem"
         )
+    for log in read:
+        missing = int(np.count_nonzero(~np.isfinite(log.columns["ref_deg"])))
+        if missing:
+            raise DataError(f"{log.path} has no reference in {missing} of {len(log)} rows: cut it to its closed loop")
     kp = _kp_of(read, kp_pct_per_deg)
     return _by_steps(read, kp) if method == "step" else _from_reference(read, kp)
 
