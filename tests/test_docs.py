@@ -48,7 +48,7 @@ def test_the_byte_examples_are_what_the_codec_sends_and_understands() -> None:
         report = bytes.fromhex(hexadecimal).ljust(64, b"\0")
         if kind == "telemetry":
             direction, pos = (int(part) for part in re.findall(r"\d+", meaning))
-            assert codec.decode(report) == (direction, pos), meaning
+            assert codec.decode(report)[:2] == (direction, pos), meaning
             continue
         if meaning in ("brake", "standby"):
             command = BRAKE_COMMAND if meaning == "brake" else STANDBY_COMMAND

@@ -20,6 +20,7 @@ from typing import NamedTuple, Self
 from fiohost import __version__
 from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.experiment import Experiment
+from fiohost.bench.limits import Limiter
 from fiohost.bench.log import Log, LogWriter
 from fiohost.bench.program import Hold, Program
 from fiohost.bench.statistics import TickStatistics
@@ -29,7 +30,6 @@ from fiohost.bench.writer import NoLog
 from fiohost.errors import (
     ConfigError,
     FiohostError,
-    LimitError,
     LogError,
     ReportError,
     TelemetryTimeoutError,
@@ -37,6 +37,7 @@ from fiohost.errors import (
 )
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
+from fiohost.wire.link import Link
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telemetry
 
 logger = logging.getLogger("fiohost.bench")
@@ -84,12 +85,13 @@ class Bench:
         self.counts_per_rev = profile.counts_per_rev
         self.clock = clock or (VirtualClock() if transport.lock_step else MonotonicClock())
         self.run_id = run_id or secrets.token_hex(8)  # of all logs of this bench; random, made from nothing
-        self._codec = profile.codec
+        self._link = Link(profile.codec, stream=transport.stream)
         self._due_s = self.clock.now_s()
         self._opened_s = self._due_s
-        self._received = 0  # steps of a board in lock step
+        self._steps = 0  # of the board's task, as far as they are known
+        self._steps_read = 0  # the same at the last reading
         self._lost_in_a_row = 0
-        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        self._count_anew()
         transport.open()
         layout = f"{profile.name} (layout {profile.status})"
         logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
@@ -167,7 +169,7 @@ class Bench:
 
     def _record(self, program: Program, writer: LogWriter, progress: Progress | None, progress_every_s: float) -> None:
         ending = "complete"
-        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        self._count_anew()
         try:
             with StopSignals() as stop, self._braked_after():
                 self._settle(stop)
@@ -216,36 +218,36 @@ class Bench:
     def _turns(
         self, program: Program, writer: LogWriter, stop: StopSignals, progress: Progress | None, every: int
     ) -> None:
-        step, send, encode, row = program.step, self.transport.send, self._codec.encode, writer.row
+        step, send, encode, row = program.step, self.transport.send, self._link.encode, writer.row
         unwrap = Unwrapper(self.counts_per_rev).update
         deg = 360.0 / self.counts_per_rev
-        limit = self.profile.limit_duty_pct
-        real, begin = self.clock.real, 0.0
-        k = 0
+        limiter, carried = Limiter(self.profile.limits, self.sample_time_s), self._link.codec.carried
+        real, begin, shown = self.clock.real, 0.0, -every
+        first = self._steps + 1
         while True:
             if stop.requested:
                 stop.check()
             reading = self._receive()
-            if real and k == 0:
+            k = max(0, self._steps - first)
+            if real and not begin:
                 begin = self.clock.now_s()
             if reading is None:
-                k += 1
                 continue
-            direction, pos = reading
+            direction, pos, _, _ = reading
             angle = unwrap(pos) * deg
             answer = step(k, angle)
             if answer is None:
                 return
             command, ref = answer
-            if abs(command.duty_pct) > limit:
-                raise LimitError(f"a duty of {command.duty_pct:g} % is beyond this target's limit of {limit:g} %")
-            send(encode(command))
             time_s = k * self.sample_time_s
+            command = carried(limiter.allow(command, angle, time_s))
+            self.statistics.slowed = limiter.slowed
+            send(encode(command))
             host = self.clock.now_s() - begin if real else None
             row(time_s, command.duty_pct, command.c3, command.c4, pos, direction, ref, angle, host)
-            if progress is not None and k % every == 0:
+            if progress is not None and k // every != shown:
+                shown = k // every
                 progress(Tick(time_s, command, pos, direction, angle, ref))
-            k += 1
 
     def _receive(self) -> Telemetry | None:
         """Telemetry of this tick, or None where nothing came that could be one. A lock-step board is paced by the
@@ -259,11 +261,10 @@ class Bench:
             if late_s > 1.0:  # the host slept: do not hurry through the ticks of that time
                 self._due_s = self.clock.now_s() + self.sample_time_s
         statistics = self.statistics
-        passed_over = self.transport.passed_over
         reading: Telemetry | None = None
         problem: TransportError | None = None
         try:
-            reading = self._codec.decode(self.transport.receive(TELEMETRY_TIMEOUT_S))
+            reading = self._read()
         except TelemetryTimeoutError as exc:
             if not lock_step:
                 raise
@@ -275,8 +276,6 @@ class Bench:
         if not lock_step:
             late_s = max(0.0, self.clock.now_s() - before - self.sample_time_s)
         statistics.count(late_s)
-        statistics.passed_over += self.transport.passed_over - passed_over
-        self._received += 1
         self._lost_in_a_row = self._lost_in_a_row + 1 if problem else 0
         if problem and self._lost_in_a_row * self.sample_time_s >= TELEMETRY_TIMEOUT_S:
             self._lost_in_a_row = 0
@@ -287,23 +286,63 @@ class Bench:
             ) from problem
         return reading
 
+    def _read(self) -> Telemetry:
+        """The newest reading, waited for as long as TELEMETRY_TIMEOUT_S; counts the board's steps up to it.
+
+        Raises TelemetryTimeoutError, ReportError, DisconnectedError.
+        """
+        transport, link = self.transport, self._link
+        deadline_s = self.clock.now_s() + TELEMETRY_TIMEOUT_S
+        before = transport.passed_over + link.passed_over
+        self._steps += 1  # holds where nothing comes that tells more
+        problem: ReportError | None = None
+        while True:
+            unseen = transport.passed_over
+            left_s = deadline_s - self.clock.now_s()
+            if left_s <= 0.0:  # a stream of garbage never ends by itself
+                raise TelemetryTimeoutError(f"no good report for {1e3 * TELEMETRY_TIMEOUT_S:g} ms") from problem
+            data = transport.receive(left_s)
+            try:
+                reading = link.receive(data, transport.passed_over - unseen)
+            except ReportError as exc:
+                if not transport.stream:
+                    raise
+                problem = exc
+                continue
+            finally:
+                self.statistics.passed_over += transport.passed_over + link.passed_over - before
+                before = transport.passed_over + link.passed_over
+            if reading is not None:
+                break
+        if link.numbered:
+            self._steps = self._steps_read + link.steps
+        elif not transport.lock_step:
+            self._steps += link.steps - 1
+        self._steps_read = self._steps
+        return reading
+
+    def _count_anew(self) -> None:
+        """Statistics of what follows."""
+        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        self._link.counts = self.statistics.link
+
     def _bench_time_s(self) -> float:
         """Seconds since the bench was opened, by the board's ticks where it is in lock step: for what drifts or
         warms.
         """
         if self.transport.lock_step:
-            return self._received * self.sample_time_s
+            return self._steps * self.sample_time_s
         return self.clock.now_s() - self._opened_s
 
     def _settle(self, stop: StopSignals) -> None:
-        brake = self._codec.encode(BRAKE_COMMAND)
         if self.transport.lock_step and self.clock.real:
             self._due_s = self.clock.now_s()
+        self._link.begin()
         quiet, last = 0, -1
         for _ in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
             stop.check()
             reading = self._receive()
-            self.transport.send(brake)
+            self.transport.send(self._link.encode(BRAKE_COMMAND))
             if reading is None:
                 continue
             quiet = quiet + 1 if reading.pos == last else 0
@@ -312,7 +351,7 @@ class Bench:
                 break
         settled = "at rest" if quiet * self.sample_time_s >= REST_S else "still moving under brake"
         logger.info("%s after %.3f s at POS %d", settled, self.statistics.ticks * self.sample_time_s, last)
-        self.statistics = TickStatistics(self.sample_time_s, real=self.clock.real)
+        self._count_anew()
 
     @contextmanager
     def _braked_after(self) -> Iterator[None]:
@@ -329,25 +368,23 @@ class Bench:
 
     def _brake(self) -> None:
         """Send the brake, more than once: a line may lose or damage any report."""
-        brake = self._codec.encode(BRAKE_COMMAND)
         if not self.transport.lock_step:
             for _ in range(BRAKE_REPEATS):
-                self.transport.send(brake)
+                self.transport.send(self._link.encode(BRAKE_COMMAND))
             return
         # Such a board takes a command at its next step, so it needs some; by its readings it can be seen to stand.
         for _ in range(round(BRAKE_LIMIT_S / self.sample_time_s / (2 * STILL_TICKS))):
-            if self._stands(brake) and self._stands(None):
+            if self._stands(BRAKE_COMMAND) and self._stands(None):
                 break
 
-    def _stands(self, report: bytes | None) -> bool:
-        """Whether the count stays the same for some ticks, with a report going out in each."""
+    def _stands(self, command: Command | None) -> bool:
+        """Whether the count stays the same for some ticks, with a command going out in each."""
         seen = set()
         for _ in range(STILL_TICKS):
-            if report is not None:
-                self.transport.send(report)
-            self._received += 1
+            if command is not None:
+                self.transport.send(self._link.encode(command))
             with suppress(TelemetryTimeoutError, ReportError):
-                seen.add(self._codec.decode(self.transport.receive(TELEMETRY_TIMEOUT_S)).pos)
+                seen.add(self._read().pos)
         return len(seen) == 1
 
     def _head(self) -> dict[str, str]:
@@ -366,6 +403,7 @@ class Bench:
             "full_scale_unit": "% duty",
             "host_version": __version__,
             "start_time": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "limits": self.profile.limits.describe(),
             "clock": "real" if self.clock.real else "virtual",
             **self.transport.facts,
         }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fiohost.wire.link import LinkCounts
+
 
 class TickStatistics:
     """Counts ticks and how late they were against their deadlines. In virtual time nothing is ever late."""
@@ -14,6 +16,8 @@ class TickStatistics:
         self.silent = 0  # ticks without telemetry
         self.refused = 0  # ticks whose report could not be one
         self.passed_over = 0  # reports older than the one read
+        self.slowed = 0  # commands held back by the slew limit
+        self.link = LinkCounts()
         self._sum_s = 0.0
         self._limit_s = 0.5 * sample_time_s
 
@@ -44,8 +48,10 @@ class TickStatistics:
             "without telemetry": self.silent,
             "with a report that was refused": self.refused,
             "surplus reports": self.passed_over,
+            "commands held back by the slew limit": self.slowed,
         }
-        return "; ".join([said, *(f"{count} {what}" for what, count in faults.items() if count)])
+        told = [f"{count} {what}" for what, count in faults.items() if count]
+        return "; ".join([said, *told, *self.link.describe()])
 
     def as_dict(self) -> dict[str, object]:
         return {
@@ -55,6 +61,8 @@ class TickStatistics:
             "without_telemetry": self.silent,
             "refused_reports": self.refused,
             "surplus_reports": self.passed_over,
+            "slowed_commands": self.slowed,
+            **self.link.as_dict(),
             "mean_lateness_ms": round(1e3 * self.mean_s, 4),
             "worst_lateness_ms": round(1e3 * self.worst_s, 4),
         }

@@ -2,17 +2,69 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fiohost.settings import find_config, read_toml
+from fiohost.errors import ConfigError
+from fiohost.settings import Table, find_config, read_toml
 from fiohost.wire.layout import Layout
-from fiohost.wire.messages import COMMAND_FIELDS, TELEMETRY_FIELDS, Codec
+from fiohost.wire.messages import (
+    COMMAND_FIELDS,
+    NUMBERED_COMMAND_FIELDS,
+    NUMBERED_TELEMETRY_FIELDS,
+    TELEMETRY_FIELDS,
+    Codec,
+)
 
 SCHEMA = "fiohost.target/1"
 DEFAULT_PROFILE = "hid-assumed"
+DEFAULT_BOARD_LAYOUT = "assumed"
 MEDIA = ("hid", "serial", "sim")
 STATUSES = ("assumed", "documented", "measured")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a bench may do; infinite where nobody set a limit. :mod:`fiohost.bench.limits` enforces them."""
+
+    duty_pct: float = 100.0  # no command beyond it
+    slew_pct_per_s: float = math.inf  # the duty follows its command no faster
+    travel_deg: float = math.inf  # the shaft from where the run began, either way
+    run_time_s: float = math.inf  # of one run
+
+    @classmethod
+    def from_table(cls, table: Table) -> Limits:
+        """Read a table of limits, any of which may be absent. Raises ConfigError."""
+        ranges = {
+            "duty_pct": (0.0, 100.0),
+            "slew_pct_per_s": (0.1, 1e6),
+            "travel_deg": (1.0, 1e9),
+            "run_time_s": (0.05, 1e7),
+        }
+        found = {key: table.number(key, low=low, high=high) for key, (low, high) in ranges.items() if key in table}
+        for key in ranges:
+            table.raw(key)
+        table.finish()
+        return cls(**found)
+
+    def within(self, other: Mapping[str, float]) -> Limits:
+        """These limits, each the stricter of its own and that of *other*, a table of some. Raises ConfigError."""
+        asked = Limits.from_table(Table(dict(other), "limits"))
+        return Limits(*(min(getattr(self, name), getattr(asked, name)) for name in self.__dataclass_fields__))
+
+    def describe(self) -> str:
+        """Words for the log's head; empty where there is no limit but full scale."""
+        units = {"duty_pct": "%", "slew_pct_per_s": "%/s", "travel_deg": "deg", "run_time_s": "s"}
+        names = {name: getattr(self, name) for name in units}
+        plain = Limits()
+        said = [
+            f"{name.split('_')[0]} {value:g} {units[name]}"
+            for name, value in names.items()
+            if value != getattr(plain, name)
+        ]
+        return ", ".join(said)
 
 
 @dataclass(frozen=True)
@@ -28,8 +80,9 @@ class TargetProfile:
     duty_steps: int  # timer counts of a PWM period, to which the target truncates the duty; 0 unknown
     vendor_id: int | None
     product_id: int | None
-    limit_duty_pct: float
+    limits: Limits
     codec: Codec
+    board_layout: str = DEFAULT_BOARD_LAYOUT  # which one a simulated board is to speak
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
@@ -43,20 +96,32 @@ class TargetProfile:
         sample_time_s = top.number("sample_time_s", 0.005, low=1e-4, high=1.0)
         counts_per_rev = top.integer("counts_per_rev", 720, low=4, high=1 << 24)
         duty_steps = top.integer("duty_steps", 0, low=0, high=1 << 32)
-        identity, limits = top.table("identity"), top.table("limits")
-        command = Layout.from_table(top.table("command", required=True), COMMAND_FIELDS, COMMAND_FIELDS)
-        telemetry = Layout.from_table(top.table("telemetry", required=True), TELEMETRY_FIELDS, TELEMETRY_FIELDS)
+        identity, limits = top.table("identity"), Limits.from_table(top.table("limits"))
+        command = Layout.from_table(top.table("command", required=True), NUMBERED_COMMAND_FIELDS, COMMAND_FIELDS)
+        telemetry = Layout.from_table(
+            top.table("telemetry", required=True), NUMBERED_TELEMETRY_FIELDS, TELEMETRY_FIELDS
+        )
+        board_layout = top.text("board_layout", DEFAULT_BOARD_LAYOUT) if transport == "sim" else DEFAULT_BOARD_LAYOUT
         top.finish()
         vendor_id = None if identity.raw("vendor_id") is None else identity.integer("vendor_id", low=0, high=0xFFFF)
         product_id = None if identity.raw("product_id") is None else identity.integer("product_id", low=0, high=0xFFFF)
         identity.finish()
-        limit_duty_pct = limits.number("duty_pct", 100.0, low=0.0, high=100.0)
-        limits.finish()
+        if transport == "serial":
+            for layout in (command, telemetry):
+                if not layout.has_marks:
+                    raise ConfigError(
+                        f"{layout.name}: a serial line needs a header, a terminator or a crc, or nobody can tell where "
+                        "a report begins"
+                    )
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
             path.stem, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limit_duty_pct, codec,
+            limits, codec, board_layout,
         )  # fmt: skip
+
+    @property
+    def limit_duty_pct(self) -> float:
+        return self.limits.duty_pct
 
     def with_counts(self, counts_per_rev: int | None) -> TargetProfile:
         """The same board with another encoder setting; None changes nothing."""

@@ -11,7 +11,7 @@ import struct
 from operator import itemgetter
 from typing import Final, NamedTuple
 
-from fiohost.errors import LimitError, ReportError
+from fiohost.errors import ConfigError, LimitError, ReportError
 from fiohost.wire.layout import Layout
 
 STANDBY: Final = 0
@@ -19,8 +19,11 @@ DRIVE: Final = 1
 BRAKE: Final = 2
 MODE_NAMES: Final = {DRIVE: "drive", BRAKE: "brake", STANDBY: "standby"}
 
-COMMAND_FIELDS: Final = ("duty_pct", "c3", "c4")
+COMMAND_FIELDS: Final = ("duty_pct", "c3", "c4")  # that a layout must have
 TELEMETRY_FIELDS: Final = ("direction", "pos")
+NUMBERED_COMMAND_FIELDS: Final = (*COMMAND_FIELDS, "sequence")  # that it may have
+NUMBERED_TELEMETRY_FIELDS: Final = (*TELEMETRY_FIELDS, "sequence", "tick")
+MAY_BE_SCALED: Final = ("duty_pct", "tick")
 
 _F32 = struct.Struct("<f")
 
@@ -58,38 +61,62 @@ STANDBY_COMMAND: Final = Command(0.0, STANDBY, 0, 0)
 
 
 class Telemetry(NamedTuple):
-    """One reading: the decoder's direction bit (0 up, 1 down; that of the last edge, stale at rest) and the count."""
+    """One reading: the decoder's direction bit (0 up, 1 down; that of the last edge, stale at rest) and the count.
+
+    *sequence* and *tick* as the report carries them, None where its layout has none.
+    """
 
     direction: int
     pos: int
+    sequence: int | None = None
+    tick: float | None = None
 
 
 class Codec:
     """Commands to bytes and bytes to telemetry, for one pair of layouts.
 
-    *counts_per_rev* bounds POS: a count beyond it means that the layout or the encoder setting is another.
+    *counts_per_rev* bounds POS: a count beyond it means that the layout or the encoder setting is another. Raises
+    ConfigError for layouts that are sound as such but cannot carry these messages.
     """
 
     def __init__(self, command: Layout, telemetry: Layout, counts_per_rev: int) -> None:
         self.command_layout = command
         self.telemetry_layout = telemetry
         self.counts_per_rev = counts_per_rev
-        self._pack = command.packer.pack
+        for layout in (command, telemetry):
+            _check_fields(layout)
+        self._pack = command.pack
         # itemgetter gives a tuple in the order of the bytes; the magnitude stands first in what it picks from
-        self._pick_command = itemgetter(*(COMMAND_FIELDS.index(name) for name in command.names))
-        self._unpack = telemetry.packer.unpack
-        self._pick_telemetry = itemgetter(*(telemetry.names.index(name) for name in TELEMETRY_FIELDS))
-        self._length = telemetry.length
+        self._pick_command = itemgetter(*(NUMBERED_COMMAND_FIELDS.index(name) for name in command.names))
+        self._unpack = telemetry.unpack
+        places = {name: place for place, name in enumerate(telemetry.names)}
+        self._numbered = len(places) > len(TELEMETRY_FIELDS)
+        # what a layout lacks is picked from a None behind the values
+        self._pick_telemetry = itemgetter(*(places.get(name, len(places)) for name in NUMBERED_TELEMETRY_FIELDS))
+        self._pick_reading = itemgetter(*(places[name] for name in TELEMETRY_FIELDS))
+        duty, sequence = command.field("duty_pct"), command.field("sequence")
+        self._rounds_duty = duty is not None and (duty.is_whole or duty.scale != 1.0)
+        self.command_numbers = 1 << 8 * sequence.size if sequence is not None else 1
+        try:
+            self.encode(Command(100.0, DRIVE, 1, 0))
+        except (struct.error, OverflowError) as exc:
+            raise ConfigError(f"{command.name}: the report cannot carry a duty of 100 %: {exc}") from exc
 
-    def encode(self, command: Command) -> bytes:
+    def encode(self, command: Command, sequence: int = 0) -> bytes:
         """Bytes of a command, to be sent as one report."""
-        return self._pack(*self._pick_command((abs(command.duty_pct), command.c3, command.c4)))
+        return self._pack(*self._pick_command((abs(command.duty_pct), command.c3, command.c4, sequence)))
+
+    def carried(self, command: Command) -> Command:
+        """The command as the board will read it: a field of whole numbers rounds the duty."""
+        if not self._rounds_duty or command.mode != DRIVE:
+            return command
+        magnitude = float(self.command_layout.decode(self.encode(command))["duty_pct"])
+        return command._replace(duty_pct=magnitude if command.c3 else -magnitude)
 
     def decode(self, report: bytes) -> Telemetry:
         """The reading in a report. Raises ReportError where it cannot be one."""
-        if len(report) != self._length:
-            self.telemetry_layout.decode(report)
-        direction, pos = self._pick_telemetry(self._unpack(report))
+        values = self._unpack(report)
+        direction, pos = self._pick_reading(values)
         if not 0 <= pos < self.counts_per_rev:
             raise ReportError(
                 f"the board reports POS = {pos}, beyond the {self.counts_per_rev} counts of a turn: "
@@ -100,4 +127,16 @@ class Codec:
                 f"the board reports direction = {direction}, which is neither 0 nor 1: "
                 "its layout is not that of the target profile"
             )
-        return Telemetry(direction, pos)
+        return Telemetry(*self._pick_telemetry((*values, None))) if self._numbered else Telemetry(direction, pos)
+
+
+def _check_fields(layout: Layout) -> None:
+    """Refuse types that a meaning cannot have: only the duty may be a fraction, only duty and tick have a scale."""
+    for field in layout.fields:
+        if field.name != "duty_pct" and not field.is_whole:
+            raise ConfigError(f"{layout.name}: field {field.name!r} is a whole number, type {field.type!r} is not")
+        if field.name in ("sequence", "tick") and not field.type.startswith("u"):
+            raise ConfigError(f"{layout.name}: field {field.name!r} counts up and wraps: its type is u8, u16 or u32")
+        if field.scale != 1.0 and field.name not in MAY_BE_SCALED:
+            names = " and ".join(MAY_BE_SCALED)
+            raise ConfigError(f"{layout.name}: field {field.name!r} has a scale; only {names} may")
