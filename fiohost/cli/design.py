@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--limit", default="100", show_default=True, metavar="PCT", help="Largest duty.")
 @profile_option
 @click.option("--share", metavar="X", help="Share of the deadband to compensate.  [default: the profile's, else 0.8]")
-@click.option("--counts", metavar="N", help="Errors up to N counts command nothing.  [default: 1 if the error may be]")
+@click.option("--counts", metavar="N", help="Errors up to N counts command nothing.  [default: 1 or 0]")
 @click.option(
     "--derivative-on", default="angle", show_default=True, metavar="angle|error", help="What is differentiated."
 )
@@ -124,6 +124,8 @@ def say_design(out: Output, found: Design) -> None:
         out(
             f"NOT FEASIBLE: no {found.settings.kind} controller found meets the specification; nearest that can be met:"
         )
+        if not found.nearest:
+            out("  none: with no gains that were tried does the loop come to rest")
         for near in found.nearest:
             spec, gains = near.asked, near.settings.describe_numbers()
             kept = ", ".join(f"{name} {value:.4g}" for name, value in gains.items() if name[0] == "k")

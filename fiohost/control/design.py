@@ -24,8 +24,8 @@ from fiohost.settings import nearest
 
 STEPS_DEG = (20.0, 90.0, 180.0)  # of the squares 170/190, 135/225 and 90/270 degrees
 SHARE = 0.8  # of the deadband that is compensated, where nobody says otherwise
-RESTS_AFTER = 3.0  # a run lasts so many times the settling time asked for
-SHORTEST_RUN_S = 1.5
+RESTS_AFTER = 3.0  # a run lasts so many times the settling time asked for, or the time that the largest step needs
+SHORTEST_RUN_S, LONGEST_RUN_S = 1.5, 30.0
 FILTER_TICKS = 2.0
 VARIATIONS = (
     ("gain", 0.9), ("gain", 1.1), ("tau", 0.9), ("tau", 1.1), ("friction", 0.8), ("friction", 1.2), ("delay", 1.0)
@@ -85,6 +85,11 @@ class Design:
         return all(one.meets(self.asked) for one in self.off)
 
     @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """Which of two designs is better: the larger."""
+        return self.feasible, self.robust, -float(distance(self.found, self.asked).max())
+
+    @property
     def worst(self) -> dict[str, float]:
         """The largest figures of all steps on the model."""
         names = ("overshoot_pct", "settling_s", "error_deg", "rise_s", "reversals_per_s")
@@ -134,9 +139,10 @@ def design(
     """Find the gains of a ``p``, ``pd``, ``pi`` or ``pid`` controller for a model (or its expression or file).
 
     ``compensation_pct`` is the deadband compensation forward and in reverse, by default SHARE of the model's own
-    friction and deadband. An error of ``threshold_counts`` counts commands nothing, by default one count where the
-    error allowed is larger: compensated friction holds a shaft no longer, which would jitter from count to count.
-    ``delay_s`` is one tick unless given. Raises FiohostError for values that make no loop.
+    friction and deadband. An error of ``threshold_counts`` counts commands nothing: compensated friction holds a shaft
+    no longer, which would jitter from count to count, but a load must be held all the time. Unless given, one count is
+    tried where the error allowed is larger, and none. ``delay_s`` is one tick unless given. Raises FiohostError for
+    values that make no loop.
     """
     motor = Model.parse(model) if isinstance(model, str) else model
     if controller not in KINDS:
@@ -154,10 +160,17 @@ def design(
         u_minus_pct=minus,
     )
     base.law(sample_time_s)  # refuses what makes no law
-    if threshold_counts is None:
-        threshold_counts = 1.0 if sse_deg > quantum_deg else 0.0
-    bench = _Bench(sample_time_s, sample_time_s if delay_s is None else delay_s, quantum_deg, threshold_counts)
-    return _Search(motor, base, asked, [abs(size) for size in steps_deg], bench).run()
+    tried = [1.0, 0.0] if sse_deg > quantum_deg else [0.0]
+    searches = []
+    for counts in tried if threshold_counts is None else [threshold_counts]:
+        bench = _Bench(sample_time_s, sample_time_s if delay_s is None else delay_s, quantum_deg, counts)
+        search = _Search(motor, base, asked, [abs(size) for size in steps_deg], bench)
+        at = search.optimum()
+        searches.append((search.design_at(at), search, at))
+        if searches[-1][0].robust:
+            break
+    found, search, at = max(searches, key=lambda one: one[0].rank)
+    return found if found.feasible else replace(found, nearest=search.nearest(at))
 
 
 def deadband_of(model: Model) -> tuple[float, float]:
@@ -214,7 +227,8 @@ class _Search:
         self.off = [
             Plant.of(varied(model, what, by * bench.tick_s if what == "delay" else by)) for what, by in VARIATIONS
         ]
-        self.duration_s = max(RESTS_AFTER * asked.settling_s, SHORTEST_RUN_S)
+        fastest_s = max(steps_deg) / (self.gain * base.limit_pct) + 3.0 * self.tau  # of the largest step, at the limit
+        self.duration_s = min(max(RESTS_AFTER * max(asked.settling_s, fastest_s), SHORTEST_RUN_S), LONGEST_RUN_S)
         ranges = {"p": (KP_RANGE,), "pd": (KP_RANGE, TD_RANGE), "pi": (KP_RANGE, TI_RANGE)}
         self.bounds = np.log(ranges.get(base.kind, (KP_RANGE, TD_RANGE, TI_RANGE)))
 
@@ -251,12 +265,6 @@ class _Search:
         ]
         return np.asarray(min(tried, key=lambda found: float(found.fun)).x)
 
-    def run(self) -> Design:
-        at = self.optimum()
-        settings = rounded(self.settings(at))
-        found = self._design(settings)
-        return found if found.feasible else replace(found, nearest=self._nearest(at))
-
     def optimum(self) -> np.ndarray:
         """The point of the least cost, on models that are off too where the specification can be met at all."""
 
@@ -289,7 +297,9 @@ class _Search:
         search = _Search(self.model, replace(self.base, kind=plain), self.asked, self.steps_deg, self.bench)
         return [np.append(search.optimum(), self.bounds[-1, 1])]
 
-    def _design(self, settings: ControlSettings) -> Design:
+    def design_at(self, at: np.ndarray) -> Design:
+        """What a point of the search is as a controller, and what that does."""
+        settings = rounded(self.settings(at))
         notes = []
         if not FRICTION.keys() & set(self.model.effects):
             notes.append("the model has neither friction nor deadband: on a bench with either the error will be larger")
@@ -298,7 +308,7 @@ class _Search:
             self.bench.tick_s, self.bench.delay_s, self.bench.quantum_deg, self.duration_s, notes=notes,
         )  # fmt: skip
 
-    def _nearest(self, at: np.ndarray) -> list[Nearest]:
+    def nearest(self, at: np.ndarray) -> list[Nearest]:
         """What can be met: with one figure giving way, or where that is never enough with all that must."""
         found = [self._wider((name,), self._with_others_met(which, at)) for which, name in enumerate(FIGURES)]
         kept = [one for one in found if one is not None]
@@ -320,9 +330,10 @@ class _Search:
         settings = rounded(self.settings(at))
         found = self.look(settings, self.nominal)
         asked = self.asked
-        for name, ratio in zip(FIGURES, distance(found, self.asked), strict=True):
+        for i, name in enumerate(FIGURES):
+            ratio = max(one.ratios(self.asked)[i] for one in found)
             if name in names and ratio >= 1.0:
-                asked = replace(asked, **{name: _upwards(getattr(asked, name) * float(ratio))})
+                asked = replace(asked, **{name: _upwards(getattr(asked, name) * ratio)})
         meets = all(one.meets(asked) for one in found)
         return (
             Nearest(tuple(n for n in names if getattr(asked, n) > getattr(self.asked, n)), asked, settings)

@@ -169,6 +169,8 @@ def _answers(found: Design, squares: Sequence[Both], met: bool) -> tuple[Answer,
     if found.feasible:
         design_says = f"Yes: no step of the simulation comes closer than {_room(found.found, asked)} to a limit"
         design_says += ", and it holds on models whose gain, lag, friction and delay are off." if found.robust else "."
+    elif not found.nearest:
+        design_says = f"No {kind} controller was found that does: with none does the loop come to rest."
     else:
         near = found.nearest[0].asked
         design_says = (
