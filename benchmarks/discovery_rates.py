@@ -219,7 +219,7 @@ def summary(row: Row) -> str:
     held = row["held_out"]
     return (
         f"{row['kind']} {truth}, seed {row['seed']}, {row['clarity']:.1f} times the floor: {row['verdict']}, {named}; "
-        f"held out {held['before']:.3f} to {held['after']:.3f} deg, floor {held['floor']:.3f}; {row['cpu_s']:.0f} s of CPU"
+        f"held out {held['before']:.3f} to {held['after']:.3f} deg, floor {held['floor']:.3f}; {row['cpu_s']:.0f} CPU s"
     )
 
 
