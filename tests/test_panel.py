@@ -201,12 +201,21 @@ class Run:
         with self.out.open("w") as out, self.errors.open("w") as errors:
             self.process = subprocess.Popen(command, stdout=out, stderr=errors, env=environment)
 
-    def where(self) -> str:
-        def told() -> str:
-            assert self.process.poll() is None, self.errors.read_text()[-2000:]
-            return self.out.read_text().partition("panel ")[2].partition(";")[0]
+    def until(self, what: Callable[[], Any]) -> Any:
+        """Wait until *what* gives something true while the command runs."""
 
-        return str(until(told))
+        def asked() -> Any:
+            assert self.process.poll() is None, "\n".join(self.said()[-20:])
+            return what()
+
+        return until(asked)
+
+    def said(self) -> list[str]:
+        """Standard error without the traffic."""
+        return [line for line in self.errors.read_text().splitlines() if not line.startswith("fiohost.")]
+
+    def where(self) -> str:
+        return str(self.until(lambda: self.out.read_text().partition("panel ")[2].partition(";")[0]))
 
     @staticmethod
     def last() -> tuple[float, int, int, int]:
@@ -237,7 +246,7 @@ class Run:
         assert sent[-1] == "00 00 00 00 01 01"
         log = Log.read("run.csv")
         assert log.dropped == ()
-        return code, "\n".join(line for line in lines if not line.startswith("fiohost.")), log
+        return code, "\n".join(self.said()), log
 
 
 @contextmanager
@@ -253,21 +262,23 @@ def running(*arguments: str, environment: dict[str, str] | None = None) -> Itera
 
 def drive_by_hand(run: Run, click: Callable[[float, float], None]) -> None:
     """Slider, brake, emergency stop and its release, by the mouse."""
-    until(run.braked)
+    run.until(run.braked)
     click(slider_x(50.0), SLIDER_Y)
-    until(lambda: run.drives(50.0))
+    run.until(lambda: run.drives(50.0))
     pos = run.last()[3]
-    until(lambda: run.last()[3] != pos)
+    run.until(lambda: run.last()[3] != pos)
     click(BRAKE_BUTTON_X, BUTTONS_Y)
-    until(run.braked)
+    run.until(run.braked)
+    click(slider_x(50.0), SLIDER_Y)  # to where the slider may not have left yet
+    run.until(lambda: run.drives(50.0))
     click(slider_x(-80.0), SLIDER_Y)
-    until(lambda: run.drives(-80.0))
+    run.until(lambda: run.drives(-80.0))
     click(*STOP)
-    until(run.braked)
+    run.until(run.braked)
     click(slider_x(30.0), SLIDER_Y)  # not obeyed
     click(RELEASE_BUTTON_X, BUTTONS_Y)
     click(slider_x(-30.0), SLIDER_Y)
-    until(lambda: not run.braked())
+    run.until(lambda: not run.braked())
     assert run.drives(-30.0)
 
 
@@ -287,10 +298,10 @@ def test_in_a_browser_the_mouse_drives_brakes_and_stops_and_leaving_brakes(tmp_p
     needed("chromium")
     with running("--web", "--port", "0") as run, Chromium(tmp_path / "profile") as browser:
         browser.open(run.where().removeprefix("at "))
-        until(lambda: (browser.value("(document.querySelector('canvas') || {width: 0}).width") or 0) >= SIZE_PX[0])
+        run.until(lambda: (browser.value("(document.querySelector('canvas') || {width: 0}).width") or 0) >= SIZE_PX[0])
         drive_by_hand(run, browser.click)
         browser.close_tab()
-        until(run.braked)
+        run.until(run.braked)
         run.process.send_signal(signal.SIGINT)
         code, said, log = run.ended()
         assert code == 130, said
@@ -356,3 +367,51 @@ def test_sockets_that_leave_strangers_and_a_killed_display_all_leave_the_motor_b
     assert said.splitlines()[0] == "fiohost: the panel died and the motor was braked"
     assert log.duty_pct[-1] == pytest.approx(-40.0, abs=2.0)
     assert "the panel died" in log.metadata["ending"]
+
+
+def test_a_picture_that_cannot_be_drawn_ends_the_window_instead_of_freezing_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import matplotlib.pyplot as plt
+
+    from fiohost.panel import window
+
+    class Timer:
+        def __init__(self) -> None:
+            self.callback: Callable[[], None] = lambda: None
+
+        def add_callback(self, callback: Callable[[], None]) -> None:
+            self.callback = callback
+
+        def start(self) -> None:
+            pass
+
+        stop = start
+
+    timer, said = Timer(), []
+
+    class Bench:
+        actions = 0
+
+        def news(self) -> Any:
+            raise ZeroDivisionError
+
+        def ready(self, where: str) -> None:
+            said.append(where)
+
+        def closed(self) -> None:
+            said.append("closed")
+
+        def act(self, name: str, value: float | None) -> None:
+            pass
+
+    plt.switch_backend("agg")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "tk")
+    monkeypatch.setattr(FigureCanvasAgg, "new_timer", lambda self, interval: timer)
+    monkeypatch.setattr(plt, "show", lambda: timer.callback())
+    with pytest.raises(ZeroDivisionError):
+        window.show(Bench(), link.Facts("sim", 720, 0.005, 100.0, ""))  # type: ignore[arg-type]
+    assert said == ["in a window"]
+    assert not plt.get_fignums()

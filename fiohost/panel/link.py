@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -158,7 +159,8 @@ class Remote:
 
     def act(self, name: str, value: float | None = None, why: str = "") -> None:
         self.actions += 1
-        self._send({"act": name, "value": value, "why": why})
+        with suppress(EOFError):  # news() says so too
+            self._send({"act": name, "value": value, "why": why})
 
     def news(self) -> News | None:
         """What came since the last call, and a question for more. Raises EOFError once the bench has ended."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import os
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -58,8 +60,6 @@ def run_panel(
 
 def _wait_for(display: Connection[Any, Any]) -> str:
     """Where the display is. Raises FiohostError with its own reason where it cannot be made."""
-    import json
-
     answer: dict[str, Any] = {}
     with suppress(OSError, EOFError, ValueError):
         if display.poll(START_LIMIT_S):
@@ -74,6 +74,8 @@ def _display(bench: Connection[Any, Any], kind: str, facts: Facts, options: dict
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(3)  # where time is scarce the loop comes first
     remote = Remote(bench)
     module, _, function = kind.partition(":")
     with suppress(EOFError):

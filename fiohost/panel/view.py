@@ -241,9 +241,13 @@ class View:
             self.figure.draw_artist(artist)
 
     def _on_press(self, event: Any) -> None:
+        """By place alone: a button must work whatever else matplotlib believes to hold the mouse."""
         for name, button in self._buttons.items():
-            if event.inaxes is button.axes and not (event.dblclick and name == "reverse"):
+            if button.axes.bbox.contains(event.x, event.y) and not (event.dblclick and name == "reverse"):
                 self._act(name, None)
+                return
+        if self._slider.drag_active:  # pressed where it stood already: that is no change, but it is a wish
+            self._act("duty", float(self._slider.val))
 
     def _on_key(self, event: Any) -> None:
         if event.key in KEYS:

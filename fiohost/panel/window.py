@@ -33,19 +33,17 @@ def show(remote: Remote, facts: Facts) -> None:
     figure.canvas.mpl_disconnect(manager.key_press_handler_id)  # its own keys: q, s and others mean something else
     manager.set_window_title(f"fiohost panel: {facts.target}")
     view = View(figure, facts, remote.act)
-    gone = False
+    ended: list[Exception] = []
 
     def frame() -> None:
-        nonlocal gone
         try:
             news = remote.news()
-        except EOFError:
-            gone = True
+            if news is not None:
+                view.show(news, answered=news.handled == remote.actions)
+                view.frame()
+        except Exception as exc:  # a toolkit would print it and go on, with a panel that shows nothing
+            ended.append(exc)
             plt.close(figure)
-            return
-        if news is not None:
-            view.show(news, answered=news.handled == remote.actions)
-            view.frame()
 
     timer = figure.canvas.new_timer(interval=FRAME_MS)
     timer.add_callback(frame)
@@ -53,5 +51,6 @@ def show(remote: Remote, facts: Facts) -> None:
     timer.start()
     plt.show()
     timer.stop()
-    if not gone:
-        remote.closed()
+    if ended:
+        raise ended[0]
+    remote.closed()
