@@ -70,7 +70,12 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
     if plan.torque is not None:
         pressed = _press(session, plan, plan.torque)
         tables.append(_pressed_table(pressed, to, plan.torque))
-        answers += _steps_17_18(pressed, to, plan.torque, q)
+        left = {
+            kp: _pushed(session.ideal(position(Gains(kp), to), plan.torque.at_s + DISTURBED_S, session.limits,
+                                      torque=plan.torque), to, plan.torque)[2]
+            for kp in plan.gains
+        }  # fmt: skip
+        answers += _steps_17_18(pressed, to, plan.torque, q, left)
     inertia = _inertia(session, plan)
     saturation = _saturation(session, max(plan.gains), to)
     design = design_pi(q, plan.overshoot_pct, plan.rise_s, SATURATION["both"])
@@ -172,7 +177,9 @@ def _pressed_table(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque)
     return Table(f"Disturbance of {torque.torque_Nm:g} N m at {torque.at_s:g} s", columns, rows)
 
 
-def _steps_17_18(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, q: MotorConstants) -> list[Answer]:
+def _steps_17_18(
+    pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, q: MotorConstants, left: dict[float, float]
+) -> list[Answer]:
     alone = pressed[0]
     ends = [_pushed(run, to, torque)[2] for run in alone[1]]
     expected = -math.degrees(torque.torque_Nm * q.R_ohm / (q.Kt_Nm_per_A * alone[0].kp))
@@ -185,7 +192,8 @@ def _steps_17_18(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, q
         Answer(
             f"Step 17. A disturbance torque of {torque.torque_Nm:g} N m",
             f"with {alone[0]} V/rad an error of {ends[0]:.1f} deg stays on the model and {ends[2]:.1f} on the target; "
-            f"TL Ra / (Ki Kp) = {expected:.1f} deg",
+            f"TL Ra / (Ki Kp) = {expected:.1f} deg. By gain, on the model: "
+            + ", ".join(f"Kp {kp:g}: {error:.1f} deg" for kp, error in left.items()),
         ),
         Answer(
             "Step 18. Integral gains, and a derivative beside them",
