@@ -192,6 +192,7 @@ def _responses(top: Toml, figures: Toml, rows: _Rows, name: str) -> Responses:
     begin = _Setting(step, "from", rows, 0.0, low=-1e6, high=1e6)
     hold_s = step.number("hold_s", 0.0, low=0.0, high=60.0)
     duration_s = step.number("duration_s", 3.0, low=0.05, high=60.0)
+    times_of_target = step.text("times_of", "final", choices=("final", "target")) == "target"
     step.finish()
 
     kind = controller.text("kind", "p", choices=list(CONTROLLERS))
@@ -231,7 +232,8 @@ def _responses(top: Toml, figures: Toml, rows: _Rows, name: str) -> Responses:
     labels = [*gains.values(), limit, to, begin]
     smallest = min(abs(r.to_deg - r.from_deg) for r in responses)
     counted = [_counted(f, quantum_deg, smallest) for f, _ in chosen]
-    return Responses(name, counted, _measured(rows, chosen, labels), responses)
+    measured = _measured(rows, chosen, labels)
+    return Responses(name, counted, measured, responses, times_of_target=times_of_target)
 
 
 def _counted(figure: Figure, quantum_deg: float, step_deg: float) -> Figure:

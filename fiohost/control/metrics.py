@@ -35,11 +35,14 @@ class StepFigures:
     steady_state_error: float
 
 
-def step_figures(time_s: np.ndarray, y: np.ndarray, start: float, target: float) -> StepFigures:
+def step_figures(
+    time_s: np.ndarray, y: np.ndarray, start: float, target: float, times_of_target: bool = False
+) -> StepFigures:
     """Figures of a response ``y`` (n) at times (n) from a step of the reference, from ``start`` to ``target``.
 
     Rise is from 10 to 90 % of the change, settling the last time outside a band around the final value (Golnaraghi and
-    Kuo, Automatic Control Systems, section 7-3). Raises DataError for fewer than two samples or ones not finite.
+    Kuo, Automatic Control Systems, section 7-3); with ``times_of_target`` both are of the way that was asked for, as
+    lines on a plot that do not move with the response. Raises DataError for fewer than two samples or ones not finite.
     """
     if len(y) < 2 or len(time_s) != len(y):
         raise DataError("a step response needs two samples or more, each with its time")
@@ -47,8 +50,9 @@ def step_figures(time_s: np.ndarray, y: np.ndarray, start: float, target: float)
         raise DataError("a step response holds values that are not finite numbers")
     found = np.empty(6)
     _figures(
-        np.ascontiguousarray(time_s, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64), start, target, found
-    )
+        np.ascontiguousarray(time_s, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64), start, target,
+        times_of_target, found,
+    )  # fmt: skip
     overshoot, rise, peak, settling_2, settling_5, final = (float(value) for value in found)
     return StepFigures(overshoot, rise, peak, settling_2, settling_5, final, target - final)
 
@@ -82,7 +86,7 @@ def _settled(time_s, y, start, change, band):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _figures(time_s, y, start, target, found):  # type: ignore[no-untyped-def]
+def _figures(time_s, y, start, target, times_of_target, found):  # type: ignore[no-untyped-def]
     """Overshoot, rise, peak time, settling to 2 and 5 %, final value."""
     n = y.shape[0]
     tail = max(1, round(TAIL * n))
@@ -99,7 +103,8 @@ def _figures(time_s, y, start, target, found):  # type: ignore[no-untyped-def]
         if (y[k] - y[peak]) * change > 0.0:
             peak = k
     found[0] = min(max(100.0 * ((y[peak] - start) / change - 1.0), 0.0), MOST_OVERSHOOT_PCT)
-    found[1] = _first(time_s, y, start, change, 0.9) - _first(time_s, y, start, change, 0.1)
     found[2] = time_s[peak]
-    found[3] = _settled(time_s, y, start, change, 0.02)
-    found[4] = _settled(time_s, y, start, change, 0.05)
+    way = target - start if times_of_target else change
+    found[1] = _first(time_s, y, start, way, 0.9) - _first(time_s, y, start, way, 0.1)
+    found[3] = _settled(time_s, y, start, way, 0.02)
+    found[4] = _settled(time_s, y, start, way, 0.05)

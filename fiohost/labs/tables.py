@@ -45,16 +45,10 @@ class Judged:
         return {f.name: needed * f.floor for table in self.diagnosis.evidence.tables for f in table.figures}
 
 
-def judge_tables(
-    paths: Sequence[str | Path],
-    model: str | Model,
-    explain: Sequence[str] = (),
-    *,
-    seed: int = 0,
-    say: Callable[[str], None] = lambda text: None,
+def judge(
+    found: TableDiagnosis, explain: Sequence[str] = (), *, seed: int = 0, say: Callable[[str], None] = lambda text: None
 ) -> Judged:
-    """Diagnose readings files together and fit each asked effect beside the declared model. Raises FiohostError."""
-    found = diagnose_readings(paths, model, seed=seed, say=say)
+    """Fit each asked effect beside the declared model of a diagnosis. Raises FiohostError."""
     search = Search(found.evidence, np.random.default_rng(seed), None, say)
     return Judged(found, tuple(worth(search, found.found.declared, name) for name in explain))
 
@@ -68,7 +62,7 @@ def tables(
     say: Callable[[str], None] = lambda text: None,
 ) -> LabResult:
     """The whole lab on a user's readings files. Raises FiohostError."""
-    judged = judge_tables(paths, model, explain, seed=seed, say=say)
+    judged = judge(diagnose_readings(paths, model, seed=seed, say=say), explain, seed=seed, say=say)
     told = judged.diagnosis.to_json()
     names = [table.name for table in judged.diagnosis.evidence.tables]
     return LabResult(

@@ -37,16 +37,17 @@ class Response:
 
 @dataclass(frozen=True)
 class Responses:
-    """A table of step responses."""
+    """A table of step responses; ``times_of_target`` as in ``step_figures``."""
 
     name: str
     figures: Sequence[Figure]
     rows: Sequence[Row]
     responses: Sequence[Response]
     constants: Sequence[Constant] = ()
+    times_of_target: bool = False
 
     def predict(self, plant: Plant, row: int, constants: Sequence[float]) -> Mapping[str, float]:
         response = self.responses[row]
         run = response.run(plant)
-        found = step_figures(run.time_s, run.angle_deg, response.from_deg, response.to_deg)
+        found = step_figures(run.time_s, run.angle_deg, response.from_deg, response.to_deg, self.times_of_target)
         return {figure.name: float(getattr(found, figure.name)) / figure.scale for figure in self.figures}
