@@ -244,14 +244,20 @@ def test_a_controller_survives_its_own_writing_and_its_log_names_every_gain(kind
 
 def test_an_integral_gives_back_what_the_limit_cut_within_its_tracking_time() -> None:
     law = ControlLaw(PI(1.0, 2.0, sample_time_s=0.01, tracking_s=0.05), limit_pct=10.0)
-    wanted, integral = [], 0.0
-    for _ in range(40):
-        assert law.step(20.0, 0.0) == 10.0
-        integral += 2.0 * 0.01 * 20.0
-        wanted.append(20.0 + integral)
-        integral += 0.01 / 0.05 * (10.0 - wanted[-1])
-    assert wanted[-1] == pytest.approx(10.0 + 2.0 * 0.05 * 20.0, abs=0.05)  # excess: ki tracking_s e
-    assert law.step(1.0, 0.0) == pytest.approx(1.0 + integral + 2.0 * 0.01 * 1.0)
+    wanted, integral = 0.0, 0.0
+    for _ in range(300):
+        integral += 2.0 * 0.01 * 5.0
+        wanted = 5.0 + integral
+        assert law.step(5.0, 0.0) == pytest.approx(min(wanted, 10.0))
+        integral += 0.01 / 0.05 * (min(wanted, 10.0) - wanted)
+    assert wanted == pytest.approx(10.0 + 2.0 * 0.05 * 5.0, abs=0.01)  # excess: ki tracking_s e
+
+
+def test_a_proportional_part_beyond_the_limit_does_not_wind_the_integral_up_the_other_way() -> None:
+    for sign in (1.0, -1.0):
+        law = ControlLaw(PI(1.0, 2.0, sample_time_s=0.01), limit_pct=10.0)
+        assert {law.step(sign * 300.0, 0.0) for _ in range(100)} == {sign * 10.0}
+        assert law.step(sign * 4.0, 0.0) == pytest.approx(sign * (4.0 + 2.0 * 0.01 * 4.0))
 
 
 def test_a_law_that_computes_nan_is_refused_by_the_wire() -> None:

@@ -32,8 +32,8 @@ class Loop:
 
     ``u = kp e + ki integral(e) + kd s/(1 + filter s) e``, the integral and the derivative by backward difference. With
     ``derivative_on_angle`` a step of the reference gives no kick. With ``holds_integral`` the integral gives back what
-    the limit cut off, within ``tracking_s``, so that it does not wind up. ``delay_s`` passes from a reading until its
-    command acts; ``quantum_deg`` is the encoder's count, 0 for an ideal one.
+    the limit cut off, within ``tracking_s`` and as far as it holds any, so that it does not wind up. ``delay_s`` passes
+    from a reading until its command acts; ``quantum_deg`` is the encoder's count, 0 for an ideal one.
     """
 
     kp_pct_per_deg: float
@@ -130,7 +130,10 @@ def _run(times, act_times, refs, loop, clock, state, substep, p, on, seen, dutie
             sent += u_minus
         held = min(max(sent, -limit), limit)
         if holds and ki != 0.0:
-            integral += returned * (held - sent)
+            back = returned * (held - sent)
+            integral = (
+                max(integral + back, min(integral, 0.0)) if back < 0.0 else min(integral + back, max(integral, 0.0))
+            )
         angles[k] = angle
         duties[k + 1] = held
         if k + 1 < n:

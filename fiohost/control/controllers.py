@@ -100,7 +100,8 @@ class PID(PD):
     """PD with an integral by backward difference, ``ki tick sum(e)``.
 
     Where the limit cuts the duty, the integral gives the excess back within about ``tracking_s`` (back-calculation;
-    Astrom and Hagglund, Advanced PID Control, section 3.5), at once for 0: it does not wind up.
+    Astrom and Hagglund, Advanced PID Control, section 3.5), at once for 0: it does not wind up. It gives no more than
+    it holds: an excess of the proportional part alone would wind it up the other way.
     """
 
     def __init__(
@@ -135,8 +136,11 @@ class PID(PD):
         return self._wanted
 
     def applied(self, duty_pct: float) -> None:
-        if self.ki != 0.0:
-            self._integral += self._returned * (duty_pct - self._wanted)
+        if self.ki == 0.0:
+            return
+        back = self._returned * (duty_pct - self._wanted)
+        held = self._integral
+        self._integral = max(held + back, min(held, 0.0)) if back < 0.0 else min(held + back, max(held, 0.0))
 
 
 class PI(PID):
