@@ -17,6 +17,7 @@ from fiohost.bench.signals import KINDS
 from fiohost.circle.readings import read_readings
 from fiohost.cli.main import COMMANDS, cli
 from fiohost.control.settings import ControlSettings
+from fiohost.labs.readings import Readings
 from fiohost.motor.model import Model
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -86,6 +87,8 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             Model.read(path)
         case "fiohost.readings/1":
             read_readings(path)
+        case "fiohost.characterisation/1":
+            Readings.load(path)
         case "firmware_model.plant/1":
             from firmware_model.plants import load_plant
 

@@ -252,7 +252,10 @@ def _judge(run: Run, drop: Drop | None, task: Task) -> tuple[bool, str]:
     took = settling(run.time_s, run.angle_deg, task)
     figures = step_figures(run.time_s, run.angle_deg, 0.0, task.angle_deg)
     if drop is None:
-        return False, f"it never lets go: the arm ends {figures.steady_state_error:.1f} deg from the cup"
+        return False, (
+            f"it never lets go: the arm ends {figures.steady_state_error:.1f} deg from the cup; where friction holds "
+            "it, an integral (--gains P,I,D) or a wider --release helps"
+        )
     met = beyond <= task.overshoot_deg and math.isfinite(took) and drop.in_cup
     return met, (
         f"on the target the arm is within {task.tolerance_pct:g} % after {took:.3f} s with {beyond:.1f} deg of "

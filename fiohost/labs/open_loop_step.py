@@ -46,7 +46,7 @@ def fit_step(run: Run, volt: float, winding_s: float) -> StepFit:
     last = run.time_s >= (1.0 - TAIL) * run.time_s[-1]
     steady = float(np.polyfit(run.time_s[last], angle[last], 1)[0])
     if abs(steady) < 1e-3:
-        raise DataError(f"the shaft does not turn at {volt:g} V on {run.name}: give more voltage")
+        raise DataError(f"the shaft does not turn on {run.name} ({float(np.max(np.abs(run.volts))):.3g} V): give more")
     reached = np.flatnonzero(run.speed_rad_s / steady >= RISES_TO)
     time_63 = float(run.time_s[reached[0]]) if reached.size else float(run.time_s[-1])
 
@@ -184,7 +184,8 @@ def _pressed(session: Session, volt: float, torque: Torque) -> tuple[Answer, Tab
     expected = torque.torque_Nm / q.damping_Nms
     answer = Answer(
         f"Step 4. A disturbance torque of {torque.torque_Nm:g} N m at {volt:g} V",
-        f"the speed changes by {rows[0][3]:.2f} rad/s on the model and {rows[2][3]:.2f} on the target; "
+        f"the speed changes by {rows[0][3]:.2f} rad/s on the model and {rows[2][3]:.2f} on the target"
+        f"{'' if session.presses else ', where nobody pressed'}; "
         f"TL / (B + Ki Kb / Ra) = {expected:.2f}",
     )
     columns = ("who", "before rad/s", "after rad/s", "change rad/s")

@@ -75,7 +75,7 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
                                       torque=plan.torque), to, plan.torque)[2]
             for kp in plan.gains
         }  # fmt: skip
-        answers += _steps_17_18(pressed, to, plan.torque, q, left)
+        answers += _steps_17_18(session, pressed, to, plan.torque, left)
     inertia = _inertia(session, plan)
     saturation = _saturation(session, max(plan.gains), to)
     design = design_pi(q, plan.overshoot_pct, plan.rise_s, SATURATION["both"])
@@ -178,9 +178,9 @@ def _pressed_table(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque)
 
 
 def _steps_17_18(
-    pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, q: MotorConstants, left: dict[float, float]
+    session: Session, pressed: list[tuple[Gains, Trio]], to: float, torque: Torque, left: dict[float, float]
 ) -> list[Answer]:
-    alone = pressed[0]
+    q, alone = session.constants, pressed[0]
     ends = [_pushed(run, to, torque)[2] for run in alone[1]]
     expected = -math.degrees(torque.torque_Nm * q.R_ohm / (q.Kt_Nm_per_A * alone[0].kp))
     told = "; ".join(
@@ -191,7 +191,8 @@ def _steps_17_18(
     return [
         Answer(
             f"Step 17. A disturbance torque of {torque.torque_Nm:g} N m",
-            f"with {alone[0]} V/rad an error of {ends[0]:.1f} deg stays on the model and {ends[2]:.1f} on the target; "
+            f"with {alone[0]} V/rad an error of {ends[0]:.1f} deg stays on the model and {ends[2]:.1f} on the target"
+            f"{'' if session.presses else ', where nobody pressed'}; "
             f"TL Ra / (Ki Kp) = {expected:.1f} deg. By gain, on the model: "
             + ", ".join(f"Kp {kp:g}: {error:.1f} deg" for kp, error in left.items()),
         ),

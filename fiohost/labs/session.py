@@ -132,6 +132,11 @@ class Session:
     def full_V(self) -> float:
         return target_volts(self.bench, self.constants)
 
+    @property
+    def presses(self) -> bool:
+        """Whether somebody can press on the target's shaft."""
+        return furniture(self.bench) is not None
+
     def note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
@@ -154,7 +159,7 @@ class Session:
         metadata: Mapping[str, str] | None = None,
     ) -> Run:  # fmt: skip
         """The target; its log is kept under the name of the case."""
-        if torque is not None and furniture(self.bench) is None:
+        if torque is not None and not self.presses:
             self.note(f"nothing presses on {self.target}: the disturbance is on the model only")
             torque = None
         path = self.folder / f"{case}.csv"

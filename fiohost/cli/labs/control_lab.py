@@ -202,14 +202,15 @@ def position_control(
 @click.option("--angle", default="60", show_default=True, metavar="DEG", help="Where the cup stands, -90 to 90.")
 @click.option("--gains", metavar="P,I,D", help="A controller of your own; without it one is searched for.")
 @click.option("--wait", default="0", show_default=True, metavar="S", help="Let go no sooner than this.")
+@click.option("--release", default="1", show_default=True, metavar="DEG", help="Let go within this of the cup.")
 @click.option("--arm", default="0.12", show_default=True, metavar="M", help="Length of the arm.")
 @click.option("--height", default="0.1", show_default=True, metavar="M", help="Height of the drop.")
 @click.option("--payload", default="0.015", show_default=True, metavar="KG", help="Mass of the payload.")
 @click.option("--cup", default="0.025", show_default=True, metavar="M", help="Radius of the cup.")
 @bench_options("sim:nxt_arm_measured", "arm_measured")
 def design_project(
-    angle: str, gains: str | None, wait: str, arm: str, height: str, payload: str, cup: str, animate: bool,
-    **options: Any,
+    angle: str, gains: str | None, wait: str, release: str, arm: str, height: str, payload: str, cup: str,
+    animate: bool, **options: Any,
 ) -> None:  # fmt: skip
     """The robotic arm: turn, let the payload go, hit the cup, fast.
 
@@ -223,6 +224,7 @@ def design_project(
     task = Task(
         angle_deg=parse_number("--angle", angle, -90.0, 90.0, "deg"),
         wait_s=parse_number("--wait", wait, 0.0, 2.0, "s"),
+        release_deg=parse_number("--release", release, 0.25, 30.0, "deg"),
         arm_m=parse_number("--arm", arm, 0.01, 2.0, "m"),
         height_m=parse_number("--height", height, 0.001, 5.0, "m"),
         payload_kg=parse_number("--payload", payload, 0.0, 5.0, "kg"),
