@@ -13,18 +13,21 @@ if TYPE_CHECKING:
     from firmware_model.board import Board
     from firmware_model.errors import FirmwareModelError
     from firmware_model.faults import FaultyBoard
+    from firmware_model.formats import Receiver, make_format
     from firmware_model.instruments import Instruments
     from firmware_model.plants import Plant, load_plant, plant_names
     from firmware_model.sealed import draw, reveal
 
 _WHERE = {
     "Board": "board",
+    "Receiver": "formats",
     "FaultyBoard": "faults",
     "FirmwareModelError": "errors",
     "Instruments": "instruments",
     "Plant": "plants",
     "draw": "sealed",
     "load_plant": "plants",
+    "make_format": "formats",
     "plant_names": "plants",
     "reveal": "sealed",
 }
@@ -35,8 +38,10 @@ __all__ = [
     "FirmwareModelError",
     "Instruments",
     "Plant",
+    "Receiver",
     "draw",
     "load_plant",
+    "make_format",
     "plant_names",
     "reveal",
 ]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 
 from firmware_model.bridge import STANDBY, drive
+from firmware_model.formats import make_format
 from firmware_model.motor import Motor
 from firmware_model.plants import Plant
-from firmware_model.report import Command, parse, telemetry
+from firmware_model.report import Command
 from firmware_model.thermal import ThermalShutdown
 
 STEP_S = 0.005
@@ -20,10 +21,14 @@ class Board:
 
     ``seed`` draws what nobody can know of a bench before it moves: the shaft's angle within its first count and the
     place of the gears in their play. Without a seed the shaft starts in the middle of its count and of the play.
-    ``pwm`` ("averaged" or "edge_resolved") takes the place of the plant's own key.
+    ``pwm`` ("averaged" or "edge_resolved") takes the place of the plant's own key. ``layout`` names the reports that
+    the board speaks (see :mod:`firmware_model.formats`).
     """
 
-    def __init__(self, plant: Plant, *, seed: int | None = None, pwm: str | None = None) -> None:
+    def __init__(
+        self, plant: Plant, *, seed: int | None = None, pwm: str | None = None, layout: str = "assumed"
+    ) -> None:
+        self._format = make_format(layout)
         rng = random.Random(f"start {seed}") if seed is not None else None
         within_count = rng.random() if rng else 0.5
         within_gap = rng.random() if rng else 0.5
@@ -40,14 +45,14 @@ class Board:
     def step(self, report: bytes | None, *, span_s: float = STEP_S) -> bytes:
         """One task step: latch the newest report (None or an invalid one: outputs hold), sample, send, run on.
 
-        Returns 64 bytes of telemetry as sampled at the start of the step. The latched command acts until the next
+        Returns one report of telemetry as sampled at the start of the step. The latched command acts until the next
         step, which comes after ``span_s``.
         """
-        command = parse(report) if report is not None else None
+        command = self._format.parse(report) if report is not None else None
         if command is not None:
             self._command, self._silent_s = command, 0.0
         motor = self._motor
-        sent = telemetry(motor.direction, motor.count % self._counts_per_rev)
+        sent = self._format.telemetry(motor.direction, motor.count % self._counts_per_rev)
         mode, duty_pct = self._outputs()
         motor.run(mode, duty_pct, span_s)
         self._silent_s += span_s
@@ -59,6 +64,7 @@ class Board:
         """What the controller's reset does: outputs off, encoder timer at 0 counting up. The motor runs on."""
         self._command, self._silent_s = _OFF, 0.0
         self._motor.reset_counter()
+        self._format.reset()
 
     def _outputs(self) -> tuple[int, float]:
         """Mode of the bridge and signed duty, from the latched command and all that stands between it and the motor."""

@@ -3,61 +3,148 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
 
-from fiohost.bench.clock import Clock, MonotonicClock
+from fiohost import __version__
+from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.loop import Bench
 from fiohost.bench.seal import MAX_SEED, SEALED, draw_seed, store_seed
 from fiohost.errors import ConfigError
 from fiohost.settings import config_names, nearest
 from fiohost.transport.base import Transport
-from fiohost.transport.profile import TargetProfile
-from fiohost.transport.traced import traced
+from fiohost.transport.profile import DEFAULT_PROFILE, TargetProfile
+from fiohost.transport.replay import ReplayTransport
+from fiohost.transport.trace import TraceWriter
+from fiohost.transport.traced import TracedTransport, is_debugged
 
 DEFAULT_TARGET = "sim"
+# medium -> the profile of a target that names none
+PROFILES = {"sim": DEFAULT_PROFILE, "hid": DEFAULT_PROFILE, "serial": "serial-documented"}
 
 
-def connect(target: str = DEFAULT_TARGET, *, seed: int | None = None, realtime: bool = False) -> Bench:
+@dataclass(frozen=True)
+class Asked:
+    """What every bench of a command shall have: a trace of its traffic, limits beside those of its profile."""
+
+    trace: TraceWriter | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+
+_asked: ContextVar[Asked] = ContextVar("asked", default=Asked())  # noqa: B039 (frozen, and nobody writes to it)
+
+
+@contextmanager
+def asking(*, trace: str | Path | None = None, limits: Mapping[str, float] | None = None) -> Iterator[None]:
+    """Whatever is connected within has a trace written to that file, and these limits; see :func:`connect`."""
+    before = _asked.get()
+    writer = TraceWriter(trace) if trace is not None else None
+    token = _asked.set(Asked(writer or before.trace, {**before.limits, **(limits or {})}))
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+        if writer is not None:
+            writer.close()
+
+
+def connect(
+    target: str = DEFAULT_TARGET,
+    *,
+    seed: int | None = None,
+    realtime: bool = False,
+    limits: Mapping[str, float] | None = None,
+) -> Bench:
     """Open a target and return its bench (a context manager).
 
     ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed* or,
     without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and a clock
-    with faults. Simulated boards run in virtual time unless *realtime*. Raises ConfigError for an unknown target or
-    plant, TransportError where it cannot be opened.
+    with faults. ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME
+    is a profile, shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a
+    serial number. Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's ``[limits]``)
+    can only be stricter than the profile's. Raises ConfigError for an unknown target or plant, TransportError where it
+    cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
-    medium, _, rest = target.partition(":")
     run_id = secrets.token_hex(8)
-    if medium not in _MEDIA:
-        if medium != target or medium not in config_names("targets"):
-            known = [*_MEDIA, *config_names("targets")]
-            raise ConfigError(f"unknown target {target!r}; {nearest(medium, known)}")
-        medium, rest = TargetProfile.load(target).transport, target
-    transport = traced(_MEDIA[medium](rest, seed, run_id))
-    clock: Clock | None = MonotonicClock() if realtime else None
-    return Bench(transport, TargetProfile.load(), clock=clock, run_id=run_id)
+    transport, profile = open_target(target, seed=seed, run_id=run_id, realtime=realtime)
+    asked = _asked.get()
+    profile = replace(profile, limits=profile.limits.within({**asked.limits, **(limits or {})}))
+    virtual = transport.lock_step or isinstance(transport, ReplayTransport)
+    clock: Clock = VirtualClock() if virtual and not realtime else MonotonicClock()
+    return Bench(watched(transport, profile, clock), profile, clock=clock, run_id=run_id)
 
 
-def _simulated(rest: str, seed: int | None, run_id: str) -> Transport:
+def open_target(
+    target: str, *, seed: int | None = None, run_id: str = "", realtime: bool = False
+) -> tuple[Transport, TargetProfile]:
+    """The line to a target, not yet open, and the profile of its board. Raises ConfigError."""
+    medium, rest, name = split_target(target)
+    if medium == "replay":
+        replay = ReplayTransport(rest, paced=realtime)
+        return replay, replay.profile
+    profile = TargetProfile.load(name)
+    return _MEDIA[medium](rest, profile, seed, run_id), profile
+
+
+def split_target(target: str) -> tuple[str, str, str]:
+    """Medium, what follows it, and the profile's name of a target as people write it. Raises ConfigError."""
+    medium, _, rest = target.partition(":")
+    if medium in _MEDIA:
+        return medium, rest, PROFILES[medium]
+    if medium == "replay":
+        if not rest:
+            raise ConfigError("replay needs the file of a trace: replay:FILE")
+        return medium, rest, ""
+    name = medium
+    if ".toml" in target:  # a path may have colons of its own
+        name, _, rest = target.partition(".toml")
+        name, rest = name + ".toml", rest.removeprefix(":")
+    elif name not in config_names("targets"):
+        known = [*_MEDIA, "replay", *config_names("targets")]
+        raise ConfigError(f"unknown target {target!r}; {nearest(medium, known)}")
+    return TargetProfile.load(name).transport, rest, name
+
+
+def watched(transport: Transport, profile: TargetProfile, clock: Clock) -> Transport:
+    """*transport*, traced where a trace or hex traffic was asked for."""
+    trace = _asked.get().trace
+    if trace is None:
+        return TracedTransport(transport) if is_debugged() else transport
+    head = {
+        "profile": profile.name,
+        "profile_toml": profile.text,
+        "sample_time_s": profile.sample_time_s,
+        "host_version": __version__,
+        "start_time": datetime.now().astimezone().isoformat(timespec="seconds"),
+    }
+    return TracedTransport(transport, trace, clock.now_s, head)
+
+
+def _simulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
     from fiohost.transport.simulated import plant_board, sealed_board
 
     if f"sim:{rest}" not in SEALED:
-        return plant_board(rest, seed)
+        return plant_board(rest, seed, layout=profile.board_layout)
     drawn = draw_seed() if seed is None else seed
     store_seed(run_id, drawn)
-    return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0])
+    return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0], layout=profile.board_layout)
 
 
-def _absent(rest: str, seed: int | None, run_id: str) -> Transport:
+def _absent(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
     raise ConfigError(
-        "real lines (hid, serial) and replay are not in this version; simulated targets are sim, sim:PLANT, sim:sealed"
+        "real lines (hid, serial) are not in this version; simulated targets are sim, sim:PLANT, sim:sealed"
     )
 
 
-_MEDIA: dict[str, Callable[[str, int | None, str], Transport]] = {
+# what follows the medium in the target, profile, seed, run id
+_MEDIA: dict[str, Callable[[str, TargetProfile, int | None, str], Transport]] = {
     "sim": _simulated,
     "hid": _absent,
     "serial": _absent,
-    "replay": _absent,
 }

@@ -6,7 +6,7 @@ Values come as text and are read here: a number out of range is a refusal (exit 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -17,11 +17,43 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def target_options(command: Command) -> Command:
-    """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None)."""
+    """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None); ``--trace``, ``--limit``."""
+    command = wire_options(command)
     seed_help = "For sim:sealed: which board. For other simulated boards: how the shaft starts."
-    target_help = "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, or the name of a profile."
+    target_help = (
+        "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, hid, hid:SERIAL, serial:PORT, replay:FILE, or a profile: its "
+        "name or file, also with :REST."
+    )
     command = click.option("--seed", metavar="N", help=seed_help)(command)
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
+
+
+def wire_options(command: Command) -> Command:
+    """Add ``--trace`` and ``--limit``, which every bench that the command opens then has; no arguments."""
+    trace_help = "Record all traffic with the target; replay:F plays it back."
+    limit_help = "Stricter limit: duty_pct, slew_pct_per_s, travel_deg or run_time_s; may be repeated."
+    command = click.option(
+        "--limit", multiple=True, metavar="KEY=NUMBER", expose_value=False, callback=_limit, help=limit_help
+    )(command)
+    return click.option("--trace", metavar="F", expose_value=False, callback=_trace, help=trace_help)(command)
+
+
+def _trace(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value is not None and not ctx.resilient_parsing:
+        from fiohost.bench.connect import asking
+
+        ctx.with_resource(asking(trace=value))
+
+
+def _limit(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:
+    if value and not ctx.resilient_parsing:
+        from fiohost.bench.connect import asking
+        from fiohost.transport.profile import Limits
+
+        parts = [text.partition("=") for text in value]
+        asked = {key.strip(): parse_number(f"--limit {key}", number, -1e9, 1e9) for key, _, number in parts}
+        Limits().within(asked)  # refused here, before anything is opened
+        ctx.with_resource(asking(limits=asked))
 
 
 def profile_option(command: Command) -> Command:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -83,14 +84,26 @@ class TargetProfile:
     limits: Limits
     codec: Codec
     board_layout: str = DEFAULT_BOARD_LAYOUT  # which one a simulated board is to speak
+    text: str = ""  # of the file
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
         """Read a profile by name or path. Raises ConfigError for unknown keys and layouts that do not fit."""
         path = find_config("targets", name_or_path)
-        top = read_toml(path)
+        return cls._read(read_toml(path), path.stem, path.read_text(encoding="utf-8"))
+
+    @classmethod
+    def parse(cls, text: str, name: str) -> TargetProfile:
+        """A profile from the text of its file, as a trace carries it. Raises ConfigError."""
+        try:
+            return cls._read(Table(tomllib.loads(text), f"profile {name}"), name, text)
+        except (ValueError, RecursionError) as exc:
+            raise ConfigError(f"profile {name} is not valid TOML: {exc}") from exc
+
+    @classmethod
+    def _read(cls, top: Table, name: str, text: str) -> TargetProfile:
         top.schema(SCHEMA)
-        title = top.text("title", path.stem)
+        title = top.text("title", name)
         transport = top.text("transport", choices=MEDIA)
         status = top.text("status", "assumed", choices=STATUSES)
         sample_time_s = top.number("sample_time_s", 0.005, low=1e-4, high=1.0)
@@ -115,8 +128,8 @@ class TargetProfile:
                     )
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
-            path.stem, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limits, codec, board_layout,
+            name, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
+            limits, codec, board_layout, text,
         )  # fmt: skip
 
     @property

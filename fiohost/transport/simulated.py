@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError
 from fiohost.transport.base import Transport
+from fiohost.transport.profile import DEFAULT_BOARD_LAYOUT
 
 if TYPE_CHECKING:
     from firmware_model import Board, Plant
@@ -69,13 +70,16 @@ class SimulatedTransport(Transport):
         self._is_open = False
 
 
-def plant_board(plant_name: str, seed: int | None = None) -> SimulatedTransport:
-    """A board with a plant by name or file. Raises ConfigError for a plant that is unknown or malformed."""
+def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAULT_BOARD_LAYOUT) -> SimulatedTransport:
+    """A board with a plant by name or file. Raises ConfigError for a plant that is unknown or malformed.
+
+    *layout*: the reports that the board speaks, by its own name of them.
+    """
     from firmware_model import Board, FirmwareModelError, load_plant
 
     try:
         plant = load_plant(plant_name or DEFAULT_PLANT)
-        board = Board(plant, seed=seed)
+        board = Board(plant, seed=seed, layout=layout)
     except FirmwareModelError as exc:
         raise ConfigError(str(exc)) from exc
     name = f"sim:{plant_name}" if plant_name else "sim"
@@ -85,14 +89,23 @@ def plant_board(plant_name: str, seed: int | None = None) -> SimulatedTransport:
     return transport
 
 
-def sealed_board(seed: int, *, faulty: bool = False) -> SimulatedTransport:
+def sealed_board(seed: int, *, faulty: bool = False, layout: str = DEFAULT_BOARD_LAYOUT) -> SimulatedTransport:
     """A board whose plant, effects and, where asked for, faults are drawn by *seed* and told to nobody."""
-    from firmware_model import Board, draw
+    from firmware_model import draw
 
     plant = draw(seed, faulty=faulty)
-    step = _line(Board(plant, seed=seed), plant, seed)
+    step = _line(_board(plant, seed, layout), plant, seed)
     name = "sim:sealed-faulty" if faulty else "sim:sealed"
     return SimulatedTransport(step, name, "simulated, sealed", counts_per_rev=plant.counts_per_rev)
+
+
+def _board(plant: Plant, seed: int, layout: str) -> Board:
+    from firmware_model import Board, FirmwareModelError
+
+    try:
+        return Board(plant, seed=seed, layout=layout)
+    except FirmwareModelError as exc:
+        raise ConfigError(str(exc)) from exc
 
 
 def _line(board: Board, plant: Plant, seed: int | None) -> Step:
