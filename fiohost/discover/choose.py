@@ -30,6 +30,8 @@ COARSE = np.geomspace(0.2, 5.0, 20)
 FINE = np.geomspace(0.85, 1.18, 16)
 FINEST = np.geomspace(0.98, 1.02, 16)
 MOMENT_S = 2.0
+# The fine search goes on from where it came to while it pays.
+SEARCHED_AGAIN, STILL_BETTER = 3, 0.99
 # Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
 FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
@@ -198,8 +200,14 @@ def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: b
     """A rough fit carried to its minimum; ``search`` also looks along the effect's ragged parameters."""
     best = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
     for parameter in effect.parameters:
-        if parameter.ragged and search:
-            best = _searched(best, f"{effect.name}.{parameter.name}", records, (COARSE, FINE, FINEST))
+        if not (parameter.ragged and search):
+            continue
+        key, was = f"{effect.name}.{parameter.name}", np.inf
+        best = _searched(best, key, records, (COARSE, FINE, FINEST))
+        for _ in range(SEARCHED_AGAIN):
+            if best.cost > STILL_BETTER * was:
+                break
+            was, best = best.cost, _searched(best, key, records, (FINE, FINEST))
     return best
 
 
