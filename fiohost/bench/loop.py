@@ -48,6 +48,12 @@ SETTLE_LIMIT_S = 5.0
 BRAKE_REPEATS = 5  # a brake may be lost on its way, and nobody else would send another
 STILL_TICKS = 5  # a braked shaft is believed to stand after this many equal readings, and as many in silence
 BRAKE_LIMIT_S = 1.0
+START_LIMIT_S = 2.0  # for a real board's first report; some start anew when their port is opened
+SILENT_TICKS = 3  # a target that takes one packet a step works off what is under way before it is sent more
+RATE_TOLERANCE = 0.25
+RATE_STEPS = 100  # to be sure of a rate that looks wrong
+GAP_S = 0.1  # after so long without a reading, queues may have lost reports: the clock counts too
+RETRY_S = 0.05
 COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
 
 
@@ -69,6 +75,7 @@ class Bench:
     """One board on one line. A context manager: leaving it brakes and closes the line.
 
     Made by :func:`fiohost.connect`. *clock* is real where the board keeps its own time or ``--realtime`` is asked.
+    *reconnect_s*: so long a board that went away is waited for, to brake it as soon as it is back.
     """
 
     def __init__(
@@ -78,8 +85,10 @@ class Bench:
         *,
         clock: Clock | None = None,
         run_id: str | None = None,
+        reconnect_s: float = 0.0,
     ) -> None:
         self.transport = transport
+        self.reconnect_s = reconnect_s
         self.profile = profile = profile.with_counts(transport.counts_per_rev)
         self.sample_time_s = profile.sample_time_s
         self.counts_per_rev = profile.counts_per_rev
@@ -90,9 +99,12 @@ class Bench:
         self._opened_s = self._due_s
         self._steps = 0  # of the board's task, as far as they are known
         self._steps_read = 0  # the same at the last reading
+        self._read_s = self._due_s  # when the last reading came
         self._lost_in_a_row = 0
         self._count_anew()
         transport.open()
+        if not transport.lock_step:
+            self._greet()
         layout = f"{profile.name} (layout {profile.status})"
         logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
 
@@ -171,7 +183,7 @@ class Bench:
         ending = "complete"
         self._count_anew()
         try:
-            with StopSignals() as stop, self._braked_after():
+            with StopSignals() as stop, self._braked_after(stop):
                 self._settle(stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
                 writer.bench_time_s = self._bench_time_s()
@@ -191,7 +203,7 @@ class Bench:
 
     def settle(self) -> None:
         """Brake until the shaft is at rest (no count for 0.1 s), at most for 5 s."""
-        with StopSignals() as stop, self._braked_after():
+        with StopSignals() as stop, self._braked_after(stop):
             self._settle(stop)
 
     def close(self) -> None:
@@ -318,7 +330,10 @@ class Bench:
             self._steps = self._steps_read + link.steps
         elif not transport.lock_step:
             self._steps += link.steps - 1
-        self._steps_read = self._steps
+            since_s = self.clock.now_s() - self._read_s
+            if since_s > GAP_S:
+                self._steps = max(self._steps, self._steps_read + round(since_s / self.sample_time_s))
+        self._steps_read, self._read_s = self._steps, self.clock.now_s()
         return reading
 
     def _count_anew(self) -> None:
@@ -334,43 +349,109 @@ class Bench:
             return self._steps * self.sample_time_s
         return self.clock.now_s() - self._opened_s
 
+    def _greet(self) -> None:
+        """Brake what an earlier host may have left running, first of all, and wait for the board's first word."""
+        transport = self.transport
+        try:
+            transport.send(self._link.encode(BRAKE_COMMAND))
+            deadline_s = self.clock.now_s() + START_LIMIT_S
+            while True:
+                try:
+                    transport.receive(TELEMETRY_TIMEOUT_S)
+                    break
+                except TelemetryTimeoutError as exc:
+                    if self.clock.now_s() > deadline_s:
+                        raise TelemetryTimeoutError(
+                            f"{transport.name} is open but sends nothing for {START_LIMIT_S:g} s: is the board's "
+                            "program running, and is this the right port? 'fiohost sniff' shows what comes"
+                        ) from exc
+        except BaseException:
+            transport.close()
+            raise
+
     def _settle(self, stop: StopSignals) -> None:
+        real_line = not self.transport.lock_step
         if self.transport.lock_step and self.clock.real:
             self._due_s = self.clock.now_s()
         self._link.begin()
         quiet, last = 0, -1
-        for _ in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
+        begun: tuple[float, int] | None = None
+        for turn in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
             stop.check()
             reading = self._receive()
-            self.transport.send(self._link.encode(BRAKE_COMMAND))
+            if not real_line or turn >= SILENT_TICKS:
+                self.transport.send(self._link.encode(BRAKE_COMMAND))
             if reading is None:
                 continue
+            if begun is None and turn >= SILENT_TICKS:
+                begun = self._read_s, self._steps
             quiet = quiet + 1 if reading.pos == last else 0
             last = reading.pos
-            if quiet * self.sample_time_s >= REST_S:
+            if quiet * self.sample_time_s >= REST_S and (not real_line or self._keeps_its_rate(begun)):
                 break
         settled = "at rest" if quiet * self.sample_time_s >= REST_S else "still moving under brake"
         logger.info("%s after %.3f s at POS %d", settled, self.statistics.ticks * self.sample_time_s, last)
         self._count_anew()
 
+    def _keeps_its_rate(self, begun: tuple[float, int] | None) -> bool:
+        """Whether reports come as often as the profile says; False to look longer. Raises TransportError if not.
+
+        A rate of another kind would make every time in the log wrong, and fill the buffer of a target that takes one
+        packet a step.
+        """
+        steps = 0 if begun is None else self._steps - begun[1]
+        if begun is None or not self.clock.real:
+            return True
+        if steps == 0:
+            return False
+        step_s = (self._read_s - begun[0]) / steps
+        if abs(step_s / self.sample_time_s - 1.0) <= RATE_TOLERANCE:
+            return True
+        if steps < RATE_STEPS:
+            return False
+        raise TransportError(
+            f"{self.transport.name} sends a report every {1e3 * step_s:.3g} ms, the profile {self.profile.name} says "
+            f"{1e3 * self.sample_time_s:g} ms: set sample_time_s = {step_s:.2g} in a profile of your own, or let the "
+            "board send once a task step"
+        )
+
     @contextmanager
-    def _braked_after(self) -> Iterator[None]:
-        """Brake on the way out, whatever happens within."""
+    def _braked_after(self, stop: StopSignals) -> Iterator[None]:
+        """Brake on the way out, whatever happens within; a board that went away is braked as soon as it is back."""
         try:
             yield
         except BaseException as exc:
             try:
                 self._brake()
             except FiohostError as failed:
-                exc.add_note(f"the brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING")
+                exc.add_note(self._brake_when_back(stop, failed))
             raise
         self._brake()
+
+    def _brake_when_back(self, stop: StopSignals, failed: FiohostError) -> str:
+        """Wait for a board that went away, for ``reconnect_s`` or until a signal, and brake it; what came of it."""
+        running = f"the brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING"
+        if not (self.reconnect_s and self.transport.can_reopen):
+            return running + "; cut its power, or plug the board in and run 'fiohost manual --pwm 0'"
+        logger.warning("%s; waiting for the board to come back", running)
+        began_s = self.clock.now_s()
+        while not stop.requested and self.clock.now_s() - began_s < self.reconnect_s:
+            try:
+                self.transport.reopen()
+                self._brake()
+            except FiohostError:
+                self.clock.wait_until(self.clock.now_s() + RETRY_S)
+            else:
+                return f"the board came back after {self.clock.now_s() - began_s:.1f} s and was braked first of all"
+        return running + f"; it was not back after {self.clock.now_s() - began_s:.1f} s"
 
     def _brake(self) -> None:
         """Send the brake, more than once: a line may lose or damage any report."""
         if not self.transport.lock_step:
-            for _ in range(BRAKE_REPEATS):
+            for _ in range(BRAKE_REPEATS):  # one a step: a target that takes them so would lag behind a heap of them
                 self.transport.send(self._link.encode(BRAKE_COMMAND))
+                with suppress(TelemetryTimeoutError, ReportError):
+                    self._read()
             return
         # Such a board takes a command at its next step, so it needs some; by its readings it can be seen to stand.
         for _ in range(round(BRAKE_LIMIT_S / self.sample_time_s / (2 * STILL_TICKS))):

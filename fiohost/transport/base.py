@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
+from fiohost.errors import DisconnectedError
+
 
 class Transport(ABC):
     """One line to one board.
@@ -27,6 +29,7 @@ class Transport(ABC):
     lock_step: bool = False
     stream: bool = False
     facts: Mapping[str, str]
+    can_reopen: bool = False  # a board on a cable, which may be plugged in again
     counts_per_rev: int | None = None  # where the board is known better than by its profile
     passed_over: int = 0  # reports that came with a newer one and were never read
 
@@ -49,6 +52,13 @@ class Transport(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give the line back; harmless when it is not open."""
+
+    def reopen(self) -> None:
+        """Take the line to the same board again after it went away, wherever it is now; to be tried until it works.
+
+        Raises TransportError while the board is not back.
+        """
+        raise DisconnectedError(f"{self.name} does not come back: open it anew")
 
     def __enter__(self) -> Self:
         self.open()

@@ -1,0 +1,167 @@
+"""Boards at the far end of real lines: a pty with a thread behind it, and a hidapi that has what a test says."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from fiohost.bench.loop import Bench
+from fiohost.transport.profile import TargetProfile
+from fiohost.transport.serial import SerialTransport
+from firmware_model.formats import make_format
+from firmware_model.lines.node import PtyLine
+from firmware_model.report import Command
+from firmware_model.serve import serve
+
+Mangle = Callable[[int, bytes], bytes]
+BRAKE = (0, 1, 1)  # compare value, C3, C4
+
+
+class PtyBoard:
+    """A board without a motor: its count goes on by 5 a step while it is driven forward. *mangle(k, packet)* is sent.
+
+    ``commands`` are those it has taken, in their order.
+    """
+
+    def __init__(
+        self, link: str | None = None, *, mangle: Mangle = lambda k, p: p, step_s: float = 0.005, repeats: int = 1
+    ) -> None:
+        self._form = make_format("documented")
+        self._mangle = mangle
+        self.commands: list[Command] = []
+        self.steps = self.pos = 0
+        self.line = PtyLine(link)
+        self._ended = threading.Event()
+        kept = {"step_s": step_s, "repeats": repeats, "stop": self._ended.is_set}
+        self._thread = threading.Thread(target=serve, args=(self._step, self.line, "documented"), kwargs=kept)
+        self._thread.start()
+
+    def _step(self, packet: bytes | None) -> bytes:
+        command = self._form.parse(packet) if packet is not None else None
+        if command is not None:
+            self.commands.append(command)
+        sent = self._mangle(self.steps, self._form.telemetry(0, self.pos))
+        if self.commands and self.commands[-1].compare and self.commands[-1].c3:
+            self.pos = (self.pos + 5) % 720
+        self.steps += 1
+        return sent
+
+    @property
+    def target(self) -> str:
+        return self.line.where
+
+    def bench(self, **options: Any) -> Bench:
+        return Bench(SerialTransport(self.target), TargetProfile.load("serial-documented"), **options)
+
+    @property
+    def braked(self) -> bool:
+        return bool(self.commands) and tuple(self.commands[-1]) == BRAKE
+
+    def unplug(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self.line.close()
+
+    def hang_up(self) -> None:
+        """Unplug from within a step: the line is gone before the next one."""
+        self._ended.set()
+        self.line.close()
+
+    def __enter__(self) -> PtyBoard:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unplug()
+
+
+class FakeHidapi:
+    """A module like hidapi's: devices in ``infos``, one queue of reports for each path.
+
+    A read with a time takes the next entry of ``script`` first: bytes, None (nothing comes), or an exception.
+    """
+
+    __version__ = "0.0-fake"
+
+    def __init__(self, *infos: dict[str, Any]) -> None:
+        self.infos = list(infos)
+        self.queue: deque[bytes] = deque()
+        self.script: deque[bytes | Exception | None] = deque()
+        self.written: list[bytes] = []
+        self.write_results: deque[int] = deque()
+        self.opened = 0
+        self.refuses_to_open = False
+
+    def enumerate(self) -> list[dict[str, Any]]:
+        return list(self.infos)
+
+    def device(self) -> FakeDevice:
+        return FakeDevice(self)
+
+
+class FakeDevice:
+    """A device handle as the one of cython-hidapi behaves."""
+
+    def __init__(self, module: FakeHidapi) -> None:
+        self._module = module
+        self._blocks = True
+
+    def open_path(self, path: bytes) -> None:
+        if self._module.refuses_to_open or path not in [info["path"] for info in self._module.infos]:
+            raise OSError("open failed")
+        self._module.opened += 1
+
+    def set_nonblocking(self, value: int) -> int:
+        self._blocks = not value
+        return 0
+
+    def write(self, data: bytes) -> int:
+        result = self._module.write_results.popleft() if self._module.write_results else len(data)
+        if result >= 0:
+            self._module.written.append(bytes(data))
+        return result
+
+    def read(self, size: int, timeout_ms: int = 0) -> list[int]:
+        module = self._module
+        if timeout_ms and module.script:
+            entry = module.script.popleft()
+            if isinstance(entry, Exception):
+                raise entry
+            return list(entry or b"")
+        if module.queue:
+            return list(module.queue.popleft()[:size])
+        assert timeout_ms or not self._blocks, "a read without a time would block for ever"
+        return []
+
+    def error(self) -> str:
+        return "fake error"
+
+    def close(self) -> None:
+        pass
+
+
+def info(path: str = "1-2:1.0", serial: str = "A1", **changes: Any) -> dict[str, Any]:
+    """What hidapi says of a device."""
+    return {
+        "path": path.encode(),
+        "vendor_id": 0x0483,
+        "product_id": 0x5750,
+        "serial_number": serial,
+        "product_string": "board",
+        "usage_page": 0xFF00,
+        "interface_number": 0,
+        **changes,
+    }
+
+
+def is_open(fd: int) -> bool:
+    try:
+        os.fstat(fd)
+    except OSError:
+        return False
+    return True

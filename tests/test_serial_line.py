@@ -1,0 +1,287 @@
+"""A real serial line (a pty): what the host does with what a line can do to it, and that every way out brakes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import termios
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lines import BRAKE, PtyBoard
+
+from fiohost.bench.log import Log
+from fiohost.bench.loop import Bench, Tick
+from fiohost.bench.stop import Stopped
+from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
+from fiohost.transport import serial as serial_line
+from fiohost.transport.profile import TargetProfile
+from fiohost.transport.serial import SerialTransport
+
+
+@pytest.fixture(autouse=True)
+def _patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that has much to do holds up the board's thread too; only silence itself is tried as it is."""
+    if "silence" not in request.node.name:
+        monkeypatch.setattr("fiohost.bench.loop.TELEMETRY_TIMEOUT_S", 0.5)
+
+
+def test_a_run_over_a_pty_begins_and_ends_braked_and_is_logged(tmp_path: Path) -> None:
+    with PtyBoard() as board:
+        with board.bench() as bench:
+            log = bench.drive(40.0, 0.3, tmp_path / "run.csv")
+        time.sleep(0.02)
+        assert tuple(board.commands[0]) == BRAKE
+        assert board.braked
+        assert (1440, 1, 0) in board.commands
+    assert 5 < len(log) <= 61  # a host that is late leaves out rows
+    assert log.time_s[-1] == pytest.approx(0.295, abs=0.02)
+    assert np.ptp(log.output) > 50.0
+    assert log.metadata["serial_number"] == board.target
+    assert log.dropped == () or "missing" in log.dropped[0]
+
+
+def test_commands_do_not_heap_up_before_a_target_that_takes_one_a_step() -> None:
+    """Five brakes sent at once would stay under way for ever: each later command would act five steps late."""
+    lags = []
+    with PtyBoard() as board, board.bench() as bench:
+        for _ in range(4):
+            log = bench.drive(40.0, 0.1)
+            lags.append(int(np.argmax(np.diff(log.output) > 0)))
+    assert min(lags) <= 2
+
+
+def test_garbage_and_halves_of_packets_cost_no_more_than_themselves() -> None:
+    halves: list[bytes] = []
+
+    def mangle(k: int, packet: bytes) -> bytes:
+        match k % 10:
+            case 3:
+                return b"\x7e\x7e\x00\xff\x7e" + packet
+            case 5:
+                halves.append(packet[4:])
+                return packet[:4]
+            case 6:
+                return halves.pop() + packet
+        return packet
+
+    with PtyBoard(mangle=mangle) as board, board.bench() as bench:
+        log = bench.drive(40.0, 0.5)
+        garbage = bench.statistics.link.garbage_bytes
+    assert garbage > 0
+    steps = np.diff(log.output)
+    assert set(np.unique(steps[5:] % 2.5)) == {0.0}  # no count that the board did not send
+    assert log.metadata["ending"] == "complete"
+
+
+def test_a_hang_up_in_mid_packet_is_a_board_that_went_away(tmp_path: Path) -> None:
+    def mangle(k: int, packet: bytes) -> bytes:
+        if k == 120:
+            board.line.send(packet[:3])
+            board.hang_up()
+        return packet
+
+    board = PtyBoard(mangle=mangle)
+    with pytest.raises(DisconnectedError, match="unplugged or reset") as caught, board, board.bench() as bench:
+        bench.drive(40.0, 30.0, tmp_path / "run.csv")
+    assert any("MOTOR MAY BE RUNNING" in note for note in caught.value.__notes__)
+    log = Log.read(tmp_path / "run.csv")
+    assert len(log) > 0
+    assert log.dropped == () or "missing" in log.dropped[0]
+
+
+def test_fifty_ms_of_silence_brake() -> None:
+    def mangle(k: int, packet: bytes) -> bytes:
+        return packet if k < 120 else b""
+
+    with PtyBoard(mangle=mangle) as board:
+        with pytest.raises(TelemetryTimeoutError), board.bench() as bench:
+            bench.drive(40.0, 30.0)
+        time.sleep(0.02)
+        assert board.braked
+
+
+def test_a_line_of_garbage_alone_is_as_good_as_silence() -> None:
+    with PtyBoard(mangle=lambda k, packet: packet if k < 120 else b"\x7e\x7e\x00\x01\x02") as board:
+        with pytest.raises((TelemetryTimeoutError, TransportError)), board.bench() as bench:
+            bench.drive(40.0, 30.0)
+        time.sleep(0.05)
+        assert board.braked
+
+
+def test_a_board_that_says_nothing_is_refused_before_anything_is_driven() -> None:
+    with PtyBoard(mangle=lambda k, packet: b"") as board:
+        with pytest.raises(TelemetryTimeoutError, match="sends nothing"):
+            board.bench()
+        SerialTransport(board.target).open()  # the port is free again
+        assert all(tuple(command) == BRAKE for command in board.commands)
+
+
+@pytest.mark.parametrize(
+    ("step_s", "repeats", "said"),
+    [(0.02, 1, "every (19|20|21)"), (0.005, 2, "every 2.[3-7]"), (0.01, 1, "every (9|10)")],
+)
+def test_a_board_of_another_rate_is_refused_with_its_rate(step_s: float, repeats: int, said: str) -> None:
+    with PtyBoard(step_s=step_s, repeats=repeats) as board:
+        with pytest.raises(TransportError, match=said), board.bench() as bench:
+            bench.drive(40.0, 1.0)
+        assert all(tuple(command) == BRAKE for command in board.commands)
+
+
+def test_a_slow_board_runs_with_a_profile_that_says_so() -> None:
+    profile = replace(TargetProfile.load("serial-documented"), sample_time_s=0.02)
+    with PtyBoard(step_s=0.02) as board, Bench(SerialTransport(board.target), profile) as bench:
+        log = bench.drive(40.0, 0.4)
+    assert log.sample_time_s == pytest.approx(0.02)
+
+
+def test_a_port_belongs_to_one_host_and_is_free_again_afterwards() -> None:
+    with PtyBoard() as board:
+        with board.bench(), pytest.raises(TransportError, match="in use by another program"):
+            SerialTransport(board.target).open()
+        with board.bench() as bench:
+            assert len(bench.drive(0.0, 0.05)) > 0
+
+
+def test_what_waited_in_the_port_before_it_was_opened_is_not_read() -> None:
+    """The board goes on counting while nobody listens; the first reading is not of that time."""
+
+    def mangle(k: int, packet: bytes) -> bytes:
+        return packet[:3] + int(k % 720).to_bytes(2, "little") + packet[5:]
+
+    with PtyBoard(mangle=mangle) as board:
+        while board.steps < 60:
+            time.sleep(0.01)
+        before = board.steps
+        with SerialTransport(board.target) as port:
+            data = port.receive(1.0)
+            while len(data) < 14:
+                data += port.receive(1.0)
+    begins = data.index(b"\x7e\x7e")
+    assert int.from_bytes(data[begins + 3 : begins + 5], "little") >= before - 1
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_signals_brake_on_a_real_line(name: str, code: int) -> None:
+    def knock(tick: Tick) -> None:
+        if tick.time_s >= 0.1:
+            os.kill(os.getpid(), getattr(signal, name))
+
+    with PtyBoard() as board:
+        with pytest.raises(Stopped) as caught, board.bench() as bench:
+            bench.drive(40.0, progress=knock, progress_every_s=0.05)
+        time.sleep(0.02)
+        assert caught.value.exit_code == code
+        assert board.braked
+
+
+def test_an_exception_in_a_controller_brakes_on_a_real_line() -> None:
+    class Failing:
+        def step(self, k: int, angle_deg: float) -> None:
+            raise ZeroDivisionError
+
+    with PtyBoard() as board:
+        with pytest.raises(ZeroDivisionError), board.bench() as bench:
+            bench.play(Failing())  # type: ignore[arg-type]
+        time.sleep(0.02)
+        assert board.braked
+
+
+# ---- plugged in again ----------------------------------------------------------------------------------------------
+
+
+def test_a_board_that_comes_back_is_braked_first_of_all(tmp_path: Path) -> None:
+    link = str(tmp_path / "board")
+    boards = [PtyBoard(link)]
+
+    def replug(tick: Tick) -> None:
+        if len(boards) == 1 and tick.time_s >= 0.1:
+            boards[0].unplug()
+            threading.Timer(0.3, lambda: boards.append(PtyBoard(link))).start()
+
+    with pytest.raises(DisconnectedError) as caught, boards[0].bench(reconnect_s=20.0) as bench:
+        bench.drive(40.0, 30.0, progress=replug, progress_every_s=0.05)
+    assert any("was braked first of all" in note for note in caught.value.__notes__)
+    time.sleep(0.02)
+    boards[1].unplug()
+    assert boards[1].commands
+    assert {tuple(command) for command in boards[1].commands} == {BRAKE}
+
+
+def test_waiting_for_a_board_ends(tmp_path: Path) -> None:
+    board = PtyBoard(str(tmp_path / "board"))
+    with pytest.raises(DisconnectedError) as caught, board.bench(reconnect_s=0.2) as bench:
+        bench.drive(40.0, 30.0, progress=lambda tick: board.unplug(), progress_every_s=0.05)
+    assert any("MOTOR MAY BE RUNNING" in note and "not back" in note for note in caught.value.__notes__)
+
+
+class Port:
+    """A USB serial port as pyserial describes it."""
+
+    def __init__(self, device: str, serial: str | None = "S1", location: str = "1-2") -> None:
+        self.device, self.vid, self.pid = device, 0x0483, 0x5740
+        self.serial_number, self.location = serial, location
+
+
+def test_a_usb_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) -> None:
+    with PtyBoard() as first, PtyBoard() as second:
+        ports = [Port(first.target), Port("/dev/other", "S2")]
+        monkeypatch.setattr(serial_line, "_ports", lambda: ports)
+        line = SerialTransport("0483:5740:S1")
+        with line:
+            assert line.identity == "0483:5740:S1"
+            ports[:] = [Port("/dev/other", "S2")]
+            with pytest.raises(DisconnectedError, match="not back"):
+                line.reopen()
+            ports[:] = [Port("/dev/other", "S2"), Port(second.target)]
+            line.reopen()
+            line.send(bytes.fromhex("7e7e 00000000 01 01 0303"))
+            line.receive(1.0)
+            time.sleep(0.02)
+        assert second.braked
+        assert not first.commands
+
+
+def test_several_ports_must_be_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = [Port("/dev/ttyACM0"), Port("/dev/ttyACM1", "S2")]
+    monkeypatch.setattr(serial_line, "_ports", lambda: ports)
+    with pytest.raises(ConfigError, match=r"2 serial ports fit.*ttyACM0, /dev/ttyACM1"):
+        SerialTransport("").open()
+    with pytest.raises(ConfigError, match="no USB serial port 1234:5678"):
+        SerialTransport("1234:5678").open()
+
+
+# ---- opening -------------------------------------------------------------------------------------------------------
+
+
+def test_a_port_that_is_not_there_or_none_is_said_so(tmp_path: Path) -> None:
+    with pytest.raises(TransportError, match="there is no serial port /dev/ttyNOPE"):
+        SerialTransport("/dev/ttyNOPE").open()
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(TransportError, match="cannot be opened as a serial port"):
+        SerialTransport(str(tmp_path / "file")).open()
+    forbidden = serial_line._why("/dev/ttyACM0", OSError(errno.EACCES, "Permission denied"))
+    assert "no permission" in forbidden
+    assert "fiohost udev" in forbidden
+
+
+def test_dtr_and_rts_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    asked = []
+
+    def ioctl(fd: int, request: int, *more: object) -> object:
+        asked.append(request)
+        return real(fd, request, *more)  # type: ignore[arg-type]
+
+    real = fcntl.ioctl
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    with PtyBoard() as board, SerialTransport(board.target) as port:
+        port.receive(1.0)
+    assert asked
+    assert not {termios.TIOCMBIS, termios.TIOCMBIC, termios.TIOCMSET} & set(asked)
