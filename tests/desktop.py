@@ -34,8 +34,8 @@ def needed(*programs: str) -> None:
         pytest.skip(reason)
 
 
-def until(what: Callable[[], Any], limit_s: float = 60.0) -> Any:
-    """Wait until *what* gives something true, and give that."""
+def until(what: Callable[[], Any], limit_s: float = 240.0) -> Any:
+    """Wait until *what* gives something true, and give that. A first run compiles: the limit is for hangs only."""
     deadline = time.monotonic() + limit_s
     while not (found := what()):
         assert time.monotonic() < deadline, "it did not come"

@@ -19,6 +19,7 @@ from fiohost.bench.log import Log
 from fiohost.panel.keys import Decoder, Keyboard, KeyProgram
 from fiohost.wire.messages import Command
 
+LIMIT_S = 240.0  # for hangs only: a first run compiles
 BRAKE = "00 00 00 00 01 01"
 BRAKED, STANDBY = (0.0, 1, 1), (0.0, 0, 0)
 UP, DOWN, PAGE_UP, SHIFT_DOWN = "\x1b[A", "\x1bOB", "\x1b[5~", "\x1b[1;2B"
@@ -55,7 +56,7 @@ class Terminal:
         self.wait_for(then)
 
     def wait_for(self, state: tuple[float, int, int]) -> None:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + LIMIT_S
         while last_state() != state:
             assert time.monotonic() < deadline, (state, last_state(), self.shown[-500:], Path("errors.txt").read_text())
             self.read()
@@ -63,14 +64,14 @@ class Terminal:
 
     def shows(self, text: str) -> None:
         """Wait until the live line has shown it."""
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + LIMIT_S
         while text not in self.shown:
             assert time.monotonic() < deadline, (text, self.shown[-500:])
             self.read()
             time.sleep(0.01)
 
     def ended(self) -> int:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + LIMIT_S
         while True:
             done, status = os.waitpid(self.pid, os.WNOHANG)
             if done:

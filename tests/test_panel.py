@@ -240,7 +240,7 @@ class Run:
 
     def ended(self) -> tuple[int, str, Log]:
         """Exit code, standard error without traffic, and the log; the last report sent was a brake."""
-        code = self.process.wait(timeout=60)
+        code = self.process.wait(timeout=240)
         lines = self.errors.read_text().splitlines()
         sent = [line.partition("64: ")[2] for line in lines if line.startswith("fiohost.traffic: out")]
         assert sent[-1] == "00 00 00 00 01 01"
@@ -310,7 +310,7 @@ def test_in_a_browser_the_mouse_drives_brakes_and_stops_and_leaving_brakes(tmp_p
 
 def test_where_no_window_can_be_opened_that_is_said_and_the_browser_named() -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")}
-    done = subprocess.run([*FIOHOST, "panel"], env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([*FIOHOST, "panel"], env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert "no window can be opened" in done.stderr
