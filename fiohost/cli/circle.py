@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
-from fiohost.cli.options import parse_seed
+from fiohost.cli.options import parse_seed, wire_options
 from fiohost.cli.output import json_option, make_folder, output_for
 from fiohost.cli.progress import progress
 
 
 @click.command("close-loop")
 @click.option("--target", default="sim:sealed", show_default=True, metavar="T", help="Board to run on.")
+@wire_options
 @click.option("--seed", metavar="N", help="Draw the sealed board by this seed; at random without.")
 @click.option("--model", default="linear+coulomb_friction", show_default=True, metavar="M", help="Declared model.")
 @click.option(

@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
     "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
+    "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
     "unseal": ("fiohost.cli.bench:unseal", "Show the truth about a sealed board."),

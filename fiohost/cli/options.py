@@ -17,7 +17,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def target_options(command: Command) -> Command:
-    """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None); ``--trace``, ``--limit``."""
+    """Add ``--target`` and ``--seed``, as arguments ``target`` and ``seed`` (text or None), and the wire's options."""
     command = wire_options(command)
     seed_help = "For sim:sealed: which board. For other simulated boards: how the shaft starts."
     target_help = (
@@ -29,7 +29,11 @@ def target_options(command: Command) -> Command:
 
 
 def wire_options(command: Command) -> Command:
-    """Add ``--trace`` and ``--limit``, which every bench that the command opens then has; no arguments."""
+    """Add ``--trace``, ``--limit`` and ``--reconnect``, which every bench of the command then has; no arguments."""
+    reconnect_help = "Wait S seconds for a board that went away in a run, to brake it as soon as it is back."
+    command = click.option("--reconnect", metavar="S", expose_value=False, callback=_reconnect, help=reconnect_help)(
+        command
+    )
     trace_help = "Record all traffic with the target; replay:F plays it back."
     limit_help = "Stricter limit: duty_pct, slew_pct_per_s, travel_deg or run_time_s; may be repeated."
     command = click.option(
@@ -54,6 +58,13 @@ def _limit(ctx: click.Context, parameter: click.Parameter, value: Sequence[str])
         asked = {key.strip(): parse_number(f"--limit {key}", number, -1e9, 1e9) for key, _, number in parts}
         Limits().within(asked)  # refused here, before anything is opened
         ctx.with_resource(asking(limits=asked))
+
+
+def _reconnect(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value is not None and not ctx.resilient_parsing:
+        from fiohost.bench.connect import asking
+
+        ctx.with_resource(asking(reconnect_s=parse_number("--reconnect", value, 0.0, 86_400.0, "s")))
 
 
 def profile_option(command: Command) -> Command:

@@ -32,6 +32,7 @@ class TracedTransport(Transport):
         """What a medium may know only once it is open."""
         inner = self.inner
         self.name, self.identity, self.facts = inner.name, inner.identity, inner.facts
+        self.can_reopen = inner.can_reopen
         self.lock_step, self.stream, self.counts_per_rev = inner.lock_step, inner.stream, inner.counts_per_rev
 
     def open(self) -> None:
@@ -47,6 +48,9 @@ class TracedTransport(Transport):
                 "facts": dict(self.facts),
             }
             self._trace.session({**what, **self._head}, self._now_s())
+
+    def reopen(self) -> None:
+        self.inner.reopen()
 
     def send(self, report: bytes) -> None:
         if self._debug:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_seed
+from fiohost.cli.options import parse_number, parse_seed, wire_options
 from fiohost.cli.output import check_not_input, check_writable, output_for
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @click.option("--readings", "readings_from", metavar="F", help="Readings in TOML or CSV; without, virtual meters read.")
 @click.option("--target", default="sim:nxt_no_load", show_default=True, metavar="T", help="The board to read at.")
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
+@wire_options
 @click.option(
     "--port", default="A", show_default=True, metavar="A|B", help="Motor port; rows of the other are left out."
 )

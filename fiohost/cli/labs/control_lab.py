@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_numbers, parse_seed
+from fiohost.cli.options import parse_number, parse_numbers, parse_seed, wire_options
 from fiohost.cli.output import output_for
 from fiohost.errors import ConfigError
 
@@ -35,7 +35,7 @@ def bench_options(target: str, constants: str) -> Callable[[Command], Command]:
             click.option("--target", default=target, show_default=True, metavar="T", help="The bench."),
         ):  # fmt: skip
             command = option(command)
-        return result_options(command)
+        return result_options(wire_options(command))
 
     return add
 

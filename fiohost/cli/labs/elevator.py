@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_seed
+from fiohost.cli.options import parse_number, parse_seed, wire_options
 from fiohost.cli.output import Output, output_for
 from fiohost.errors import ConfigError
 
@@ -23,6 +23,7 @@ MOST_RUNS = 20  # of a list of gains
 @click.command()
 @click.option("--target", default="sim:nxt_elevator", show_default=True, metavar="T", help="The bench with the car.")
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
+@wire_options
 @click.option("--gains", default="2,3,5", show_default=True, metavar="LIST", help="P gains, V/rad.")
 @click.option("--ki", default="0.1,0.2,0.3", show_default=True, metavar="LIST", help="Integral gains, V/(rad s).")
 @click.option("--ki-with", default="2", show_default=True, metavar="KP", help="The P gain beside them.")
