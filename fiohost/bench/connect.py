@@ -33,17 +33,23 @@ class Asked:
 
     trace: TraceWriter | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
+    reconnect_s: float = 0.0
 
 
 _asked: ContextVar[Asked] = ContextVar("asked", default=Asked())  # noqa: B039 (frozen, and nobody writes to it)
 
 
 @contextmanager
-def asking(*, trace: str | Path | None = None, limits: Mapping[str, float] | None = None) -> Iterator[None]:
-    """Whatever is connected within has a trace written to that file, and these limits; see :func:`connect`."""
+def asking(
+    *, trace: str | Path | None = None, limits: Mapping[str, float] | None = None, reconnect_s: float = 0.0
+) -> Iterator[None]:
+    """Whatever is connected within has a trace written to that file, these limits, and waits so long for a board that
+    went away; see :func:`connect`.
+    """
     before = _asked.get()
     writer = TraceWriter(trace) if trace is not None else None
-    token = _asked.set(Asked(writer or before.trace, {**before.limits, **(limits or {})}))
+    merged = {**before.limits, **(limits or {})}
+    token = _asked.set(Asked(writer or before.trace, merged, reconnect_s or before.reconnect_s))
     try:
         yield
     finally:
@@ -58,6 +64,7 @@ def connect(
     seed: int | None = None,
     realtime: bool = False,
     limits: Mapping[str, float] | None = None,
+    reconnect_s: float = 0.0,
 ) -> Bench:
     """Open a target and return its bench (a context manager).
 
@@ -66,8 +73,9 @@ def connect(
     with faults. ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME
     is a profile, shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a
     serial number. Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's ``[limits]``)
-    can only be stricter than the profile's. Raises ConfigError for an unknown target or plant, TransportError where it
-    cannot be opened.
+    can only be stricter than the profile's. A board that goes away in a run is waited for, *reconnect_s*, and braked
+    first of all when it is back; the run has ended. Raises ConfigError for an unknown target or plant, TransportError
+    where it cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
@@ -77,7 +85,8 @@ def connect(
     profile = replace(profile, limits=profile.limits.within({**asked.limits, **(limits or {})}))
     virtual = transport.lock_step or isinstance(transport, ReplayTransport)
     clock: Clock = VirtualClock() if virtual and not realtime else MonotonicClock()
-    return Bench(watched(transport, profile, clock), profile, clock=clock, run_id=run_id)
+    line = watched(transport, profile, clock)
+    return Bench(line, profile, clock=clock, run_id=run_id, reconnect_s=reconnect_s or asked.reconnect_s)
 
 
 def open_target(
@@ -136,15 +145,23 @@ def _simulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str)
     return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0], layout=profile.board_layout)
 
 
-def _absent(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
-    raise ConfigError(
-        "real lines (hid, serial) are not in this version; simulated targets are sim, sim:PLANT, sim:sealed"
-    )
+def _serial(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
+    from fiohost.transport.serial import SerialTransport
+
+    identity = "" if profile.vendor_id is None else f"{profile.vendor_id:04x}:{profile.product_id or 0:04x}"
+    return SerialTransport(rest or identity, profile.baud)
+
+
+def _hid(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
+    from fiohost.transport.hid import HidTransport
+
+    numbered = profile.codec.telemetry_layout.report_id is not None
+    return HidTransport(rest, profile.vendor_id, profile.product_id, numbered=numbered)
 
 
 # what follows the medium in the target, profile, seed, run id
 _MEDIA: dict[str, Callable[[str, TargetProfile, int | None, str], Transport]] = {
     "sim": _simulated,
-    "hid": _absent,
-    "serial": _absent,
+    "hid": _hid,
+    "serial": _serial,
 }

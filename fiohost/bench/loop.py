@@ -352,6 +352,8 @@ class Bench:
     def _greet(self) -> None:
         """Brake what an earlier host may have left running, first of all, and wait for the board's first word."""
         transport = self.transport
+        if transport.can_reopen and not self.profile.watchdog_s:
+            logger.warning("the board has no watchdog: should this host die in mid-run, the motor runs on")
         try:
             transport.send(self._link.encode(BRAKE_COMMAND))
             deadline_s = self.clock.now_s() + START_LIMIT_S

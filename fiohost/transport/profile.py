@@ -22,6 +22,7 @@ from fiohost.wire.messages import (
 SCHEMA = "fiohost.target/1"
 DEFAULT_PROFILE = "hid-assumed"
 DEFAULT_BOARD_LAYOUT = "assumed"
+DEFAULT_BAUD = 115_200
 MEDIA = ("hid", "serial", "sim")
 STATUSES = ("assumed", "documented", "measured")
 
@@ -85,6 +86,8 @@ class TargetProfile:
     codec: Codec
     board_layout: str = DEFAULT_BOARD_LAYOUT  # which one a simulated board is to speak
     text: str = ""  # of the file
+    baud: int = DEFAULT_BAUD  # of a serial line; a USB port of the board's own has no use for it
+    watchdog_s: float = 0.0  # the board brakes by itself after so long without a command; 0: it never does
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
@@ -109,6 +112,8 @@ class TargetProfile:
         sample_time_s = top.number("sample_time_s", 0.005, low=1e-4, high=1.0)
         counts_per_rev = top.integer("counts_per_rev", 720, low=4, high=1 << 24)
         duty_steps = top.integer("duty_steps", 0, low=0, high=1 << 32)
+        baud = top.integer("baud", DEFAULT_BAUD, low=50, high=50_000_000)
+        watchdog_s = top.number("watchdog_s", 0.0, low=0.0, high=60.0)
         identity, limits = top.table("identity"), Limits.from_table(top.table("limits"))
         command = Layout.from_table(top.table("command", required=True), NUMBERED_COMMAND_FIELDS, COMMAND_FIELDS)
         telemetry = Layout.from_table(
@@ -129,7 +134,7 @@ class TargetProfile:
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
             name, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limits, codec, board_layout, text,
+            limits, codec, board_layout, text, baud, watchdog_s,
         )  # fmt: skip
 
     @property
