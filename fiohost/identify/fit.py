@@ -179,7 +179,8 @@ class _Problem:
 
 
 def _sum_of_squares(residuals: Sequence[np.ndarray]) -> float:
-    return float(sum(float(r @ r) for r in residuals))
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial that runs away costs infinitely much
+        return float(sum(float(r @ r) for r in residuals))
 
 
 def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
