@@ -111,12 +111,12 @@ def split_target(target: str) -> tuple[str, str, str]:
             raise ConfigError("replay needs the file of a trace: replay:FILE")
         return medium, rest, ""
     name = medium
-    if ".toml" in target:  # a path may have colons of its own
-        name, _, rest = target.partition(".toml")
+    if name not in config_names("targets"):
+        if ".toml" not in target:
+            known = [*_MEDIA, "replay", *config_names("targets")]
+            raise ConfigError(f"unknown target {target!r}; {nearest(medium, known)}")
+        name, _, rest = target.partition(".toml")  # a path may have colons of its own
         name, rest = name + ".toml", rest.removeprefix(":")
-    elif name not in config_names("targets"):
-        known = [*_MEDIA, "replay", *config_names("targets")]
-        raise ConfigError(f"unknown target {target!r}; {nearest(medium, known)}")
     return TargetProfile.load(name).transport, rest, name
 
 
