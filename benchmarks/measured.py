@@ -2,11 +2,12 @@
 
 Usage: ``python benchmarks/measured.py FOLDER [SECTION...]``. FOLDER (or ``-`` for ``measured`` in the folder named by
 FIOHOST_DATA) holds ``nxt_open_loop``, ``brake_pwm_gearmotor`` and ``emps``: the public data named in the maps of
-``configs/maps``. Whole runs against the whole library take minutes, so that sections (nxt, gear, emps) can be made anew
-alone; the others are as ``measured.json`` keeps them, each with the commit it was made at. ``words`` makes none anew.
+``configs/maps``; ``nxt_textbook`` beside it holds printed tables. Whole runs against the whole library take minutes, so
+that sections (nxt, gear, emps, tables) can be made anew alone; the others are as ``measured.json`` keeps them, each
+with the commit it was made at. ``words`` makes none anew.
 
-The words are in ``measured.template.md``. They describe what was seen when they were written: read them against the
-figures and the pictures after every run.
+The words are in ``measured.template.md`` and ``measured_tables.template.md``. They describe what was seen when they
+were written: read them against the figures and the pictures after every run.
 """
 
 from __future__ import annotations
@@ -22,14 +23,16 @@ from pathlib import Path
 import measured_emps
 import measured_gearmotor
 import measured_nxt
+import measured_tables
 
-TEMPLATE = Path(__file__).with_name("measured.template.md")
+TEMPLATES = [Path(__file__).with_name(f"{name}.template.md") for name in ("measured", "measured_tables")]
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "measured.md"
 KEPT = Path(__file__).with_name("measured.json")
 SECTIONS = {
     "nxt": ("nxt_open_loop", measured_nxt.section),
     "gear": ("brake_pwm_gearmotor", measured_gearmotor.section),
     "emps": ("emps", measured_emps.section),
+    "tables": ("../nxt_textbook", measured_tables.section),
 }
 WORDS = "words"
 
@@ -40,15 +43,20 @@ def commit() -> str:
     return asked.stdout.strip() or "unknown"
 
 
+def kept_sections() -> dict[str, dict[str, str]]:
+    return dict(json.loads(KEPT.read_text(encoding="utf-8"))) if KEPT.exists() else {}
+
+
 def main(folder: Path, chosen: Sequence[str]) -> None:
-    kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
     for prefix in [c for c in chosen if c != WORDS]:
         name, section = SECTIONS[prefix]
         print(f"{name}:")
-        kept[prefix] = {"commit": commit(), **section(folder / name)}
+        made = {"commit": commit(), **section(folder / name)}
+        kept = {**kept_sections(), prefix: made}  # another section may have been made meanwhile
         KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    facts = {f"{prefix}_{key}": text for prefix, told in kept.items() for key, text in told.items()}
-    PAGE.write_text(string.Template(TEMPLATE.read_text(encoding="utf-8")).substitute(facts), encoding="utf-8")
+    facts = {f"{prefix}_{key}": text for prefix, told in kept_sections().items() for key, text in told.items()}
+    words = "".join(template.read_text(encoding="utf-8") for template in TEMPLATES)
+    PAGE.write_text(string.Template(words).substitute(facts), encoding="utf-8")
     print("\n".join(text for key, text in facts.items() if key.endswith("_verdict")))
 
 

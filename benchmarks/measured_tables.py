@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,9 @@ from viscous import fitted_viscous
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.fit import Evidence, fit_declared
+from fiohost.discover.tables.fit import LOOKS, Evidence, fit_declared, fit_tables
 from fiohost.discover.tables.responses import Responses
-from fiohost.discover.tables.worth import Worth, scatter_needed
+from fiohost.discover.tables.worth import Worth, left_out_rms, scatter_needed
 from fiohost.labs.constants import TEXT
 from fiohost.labs.tables import Judged, judge, plot_rows
 from fiohost.motor.model import Model
@@ -30,7 +30,7 @@ from fiohost.report import words
 LIFTED = ("d13", "d14_up", "d14_down", "d15_up", "d15_down")
 UNITS = {"overshoot_pct": ("overshoot (%)", 1.0), "settling_5_s": ("settling (ms)", 1e3), "rise_s": ("rise (ms)", 1e3),
          "steady_state_error": ("error that stays (mm)", 10.0)}  # fmt: skip
-DRY = ("coulomb_friction.level_pct", "input_deadband.level_pct")
+EXPLAIN = ("backlash", "coulomb_friction")
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,19 @@ def judged(name: str, label: str, motor: str, responses: Responses, model: Model
            simulated: Sequence[Mapping[str, float]] | None = None) -> Case:  # fmt: skip
     """Diagnose one table and fit the text's own explanations to it."""
     print(f"{label}:")
-    found = judge(diagnose_tables([responses], model, from_file=True, say=print), ["backlash"])
+    found = judge(diagnose_tables([responses], model, from_file=True, say=print), EXPLAIN)
     viscous = tuple(fitted_viscous(responses, model, TEXT[motor], falling) for falling in (False, True))
     return Case(name, label, motor, responses, found, (viscous[0], viscous[1]), simulated)
+
+
+def freed(case: Case) -> Worth:
+    """Dry friction with the motor's gain and lag fitted too: the text's viscous friction may hold some of it."""
+    dry = case.judged.asked[1].fit
+    assert dry is not None
+    model = replace(dry.model, fixed=dry.model.fixed - {"linear.gain_deg_s_per_pct", "linear.tau_s"})
+    evidence = case.judged.diagnosis.evidence
+    found = fit_tables(evidence, model, looks=LOOKS)
+    return Worth("dry friction, gain and lag", found, found.rms, left_out_rms(evidence, found))
 
 
 def tables_of(data: Path, scratch: Path) -> dict[str, Responses]:
@@ -111,11 +121,21 @@ def before_after(cases: Sequence[Case]) -> str:
                 ", ".join(names) or "nothing",
                 beside(case.after, found.final.left_out_rms),
                 words.number(found.final.limit_rms, 3),
-                *(beside(w.rms, w.left_out_rms) for w in (*case.judged.asked, *case.viscous)),
+                *(beside(w.rms, w.left_out_rms) for w in (*case.judged.asked, freed(case), *case.viscous)),
                 passing(case),
             ]
         )
-    head = ["table", "rows", "text's simulation", "before", "named", "after", "chance may leave", "backlash"]
+    head = [
+        "table",
+        "rows",
+        "text's simulation",
+        "before",
+        "named",
+        "after",
+        "chance may leave",
+        "backlash",
+        "dry friction",
+    ]
     return table([*head, "larger B", "B falling with power", "after would pass with a scatter of"], rows)
 
 
@@ -124,10 +144,17 @@ def passing(case: Case) -> str:
     final = case.judged.diagnosis.final
     needed = scatter_needed(final.fit.rms, final.limit_rms)
     floors = {f.name: f.floor for f in case.responses.figures}
-    texts = [f"{needed * floors['overshoot_pct']:.2g} %", f"{1e3 * needed * floors['rise_s']:.2g} ms"]
-    if "steady_state_error" in floors:
-        texts.append(f"{10.0 * needed * floors['steady_state_error']:.2g} mm")
-    return ", ".join(texts)
+    sizes = {"overshoot_pct": (1.0, "%"), "rise_s": (1e3, "ms"), "steady_state_error": (10.0, "mm")}
+    shown = [(times * needed * floors[name], unit) for name, (times, unit) in sizes.items() if name in floors]
+    return ", ".join(f"{words.number(size, 2)} {unit}" for size, unit in shown)
+
+
+def steps_table(case: Case) -> str:
+    """Errors of one case after every step."""
+    found = case.judged.diagnosis.found
+    stages = [("declared", found.declared), *((f"+ {words.effect_words(s.effect)}", s.stage) for s in found.steps)]
+    rows = [[label, beside(stage.fit.rms, stage.left_out_rms)] for label, stage in stages]
+    return table(["D-13 to D-15 together", "floors (left out)"], rows)
 
 
 def by_figure(cases: Sequence[Case]) -> str:
@@ -183,19 +210,23 @@ def pictures(cases: Sequence[Case]) -> None:
             own = {f.name: [row[f.name] for row in case.simulated] for f in case.responses.figures}
         names = [words.effect_words(step.effect) for step in case.judged.diagnosis.found.steps]
         title = f"{case.label}: {' and '.join(names) or 'nothing'} found"
-        save(f"table_{case.name}", plot_rows(case.judged.diagnosis.to_json()["rows"], title, own))
+        save(
+            f"table_{case.name}",
+            plot_rows(case.judged.diagnosis.to_json()["rows"], title, own, "simulated in the text"),
+        )
 
 
-def friction(cases: Sequence[Case]) -> str:
-    """The dry friction that every table asks for, in percent of full duty and in newton metres."""
+def needed(cases: Sequence[Case]) -> str:
+    """What dry friction alone, and what viscous friction alone, every table asks for."""
     rows = []
     for case in cases:
-        values = case.judged.diagnosis.final.fit.model.values
-        level = next((float(values[key]) for key in DRY if key in values), None)
-        if level is not None:
-            motor = TEXT[case.motor]
-            rows.append([case.label, f"{level:.1f}", f"{level / motor.torque_pct(1.0):.4f}"])
-    return table(["table", "dry friction or dead zone (%)", "(N m)"], rows)
+        dry, B = case.judged.asked[1].fit, case.viscous[0].fit
+        assert dry is not None
+        assert B is not None
+        level = dry.model.number("coulomb_friction.level_pct")
+        dry_Nm = level / TEXT[case.motor].torque_pct(1.0)
+        rows.append([case.label, f"{level:.1f}", f"{dry_Nm:.4f}", f"{1e3 * B.constants[0][0]:.1f}"])
+    return table(["table", "dry friction (%)", "(N m)", "larger B (0.001 N m s)"], rows)
 
 
 def facts(data: Path, scratch: Path, cases: Sequence[Case]) -> dict[str, str]:
@@ -217,11 +248,13 @@ def facts(data: Path, scratch: Path, cases: Sequence[Case]) -> dict[str, str]:
         "arm_end_before": f"{ends['declared']:.1f}",
         "arm_end_after": f"{ends['final']:.1f}",
         "count_overshoot": f"{100.0 / (5.0 * DEG_PER_CM):.2f}",
+        "joint_steps": steps_table(one),
         "joint_before": words.number(one.before, 3),
         "joint_after": words.number(one.after, 3),
         "joint_falling": words.number(one.viscous[1].rms, 3),
         "joint_larger": words.number(one.viscous[0].rms, 3),
         "joint_backlash": words.number(one.judged.asked[0].rms, 3),
+        "joint_dry": words.number(one.judged.asked[1].rms, 3),
     }
 
 
@@ -235,7 +268,7 @@ def section(folder: Path) -> dict[str, str]:
             "verdict": f"Explained to the floor: {words.listed(explained) if explained else 'no table'}.",
             "before_after": before_after(cases),
             "by_figure": by_figure(cases),
-            "friction": friction(cases),
+            "needed": needed([c for c in cases if c.name != "d9_half"]),
             **simulations(folder, Path(scratch)),
             **facts(folder, Path(scratch), cases),
             **steady_facts(folder, Path(scratch)),

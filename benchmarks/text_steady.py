@@ -113,7 +113,7 @@ def steady_facts(data: Path, scratch: Path) -> dict[str, str]:
         rows.append([label, *left])
         if not fit:
             picture = plot_rows(found.diagnosis.to_json()["rows"], f"D-5, current of a lift: {named} found",
-                                {"current": list(line)})  # fmt: skip
+                                {"current": list(line)}, "the text's line")  # fmt: skip
             save("table_d5", picture)
     slope, offset = np.polyfit(torque, current, 1)
     fast = known["no_load_speed_at_2V_rad_s"] + known["speed_torque_slope_rad_s_per_Nm"] * torque

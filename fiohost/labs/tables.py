@@ -144,10 +144,12 @@ def worth_json(w: Worth) -> dict[str, Any]:
     }
 
 
-def plot_rows(rows: Rows, title: str, simulated: Mapping[str, Sequence[float]] | None = None) -> Figure:
+def plot_rows(
+    rows: Rows, title: str, theirs: Mapping[str, Sequence[float]] | None = None, label: str = "theirs"
+) -> Figure:
     """One table in a picture, a panel a figure: measured, before and after over the rows.
 
-    ``simulated`` are figures of somebody else's simulation, one a row, by name.
+    ``theirs`` are figures of somebody else's model, one a row, by name.
     """
     from fiohost.report.panels import Curve, Panel, plot_panels
 
@@ -162,8 +164,8 @@ def plot_rows(rows: Rows, title: str, simulated: Mapping[str, Sequence[float]] |
             Curve(at, [f["after"] for f in figures], "after", 0, "plain"),
             Curve(at, [f["measured"] for f in figures], "measured", -2, "points"),
         ]
-        if simulated and name in simulated:
-            curves.append(Curve(x, simulated[name], "simulated in the text", 2, "crosses"))
+        if theirs and name in theirs:
+            curves.append(Curve(x, theirs[name], label, 2, "crosses"))
         if panels:  # one legend is enough
             curves = [Curve(c.x, c.y, "", c.case, c.style) for c in curves]
         unit = f" ({figures[0]['unit']})" if figures[0]["unit"] else ""
