@@ -19,6 +19,7 @@ from fiohost.cli.main import COMMANDS, cli
 from fiohost.control.settings import ControlSettings
 from fiohost.labs.readings import Readings
 from fiohost.motor.model import Model
+from fiohost.settings import config_names
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
@@ -41,29 +42,58 @@ def blocks(language: str) -> list[tuple[str, str]]:
     return found
 
 
-def test_the_byte_examples_are_what_the_codec_sends_and_understands() -> None:
-    rows = re.findall(r"^\| (command|telemetry) \| (.+?) \| `([0-9a-f ]+)` \|$", text("protocol.md"), re.MULTILINE)
-    assert len(rows) == 9
-    codec = TargetProfile.load().codec
+def layout_sections() -> dict[str, str]:
+    """The parts of the wire's page that describe a shipped layout, by the profile's name."""
+    parts = re.split(r"^## ", text("protocol.md"), flags=re.MULTILINE)
+    return {match[1]: part for part in parts if (match := re.match(r"Layout `([\w-]+)`\n", part))}
+
+
+@pytest.mark.parametrize(("name", "count"), [("hid-assumed", 9), ("serial-documented", 7), ("serial-framed", 7)])
+def test_the_byte_examples_are_what_the_codec_sends_and_understands(name: str, count: int) -> None:
+    section = layout_sections()[name]
+    rows = re.findall(r"^\| (command|telemetry) \| (.+?) \| `([0-9a-f ]+)` \|$", section, re.MULTILINE)
+    assert len(rows) == count
+    codec = TargetProfile.load(name).codec
     for kind, meaning, hexadecimal in rows:
-        report = bytes.fromhex(hexadecimal).ljust(64, b"\0")
+        report = bytes.fromhex(hexadecimal)
+        report = report.ljust(64, b"\0") if name.startswith("hid") else report
+        meaning, _, numbers = meaning.partition(", sequence ")
         if kind == "telemetry":
-            direction, pos = (int(part) for part in re.findall(r"\d+", meaning))
-            assert codec.decode(report)[:2] == (direction, pos), meaning
+            told = tuple(int(part) for part in re.findall(r"\d+", f"{meaning} {numbers}"))
+            assert tuple(value for value in codec.decode(report) if value is not None) == told, meaning
             continue
         if meaning in ("brake", "standby"):
             command = BRAKE_COMMAND if meaning == "brake" else STANDBY_COMMAND
         else:
             word, level = meaning.removesuffix(" %").split()
             command = Command.drive(float(level) * (1 if word == "forward" else -1))
-        assert codec.encode(command) == report, meaning
+        assert codec.encode(command, int(numbers or 0)) == report, meaning
 
 
-def test_the_offset_tables_are_those_of_the_shipped_profile() -> None:
-    codec = TargetProfile.load().codec
-    rows = re.findall(r"^\| (\d+) \| (\w+) \| `(\w+)` \|", text("protocol.md"), re.MULTILINE)
-    fields = [*codec.command_layout.fields, *codec.telemetry_layout.fields]
-    assert rows == [(str(field.offset), field.type, field.name) for field in fields]
+@pytest.mark.parametrize("name", layout_sections())
+def test_the_offset_tables_are_those_of_the_shipped_profiles(name: str) -> None:
+    codec = TargetProfile.load(name).codec
+    rows = re.findall(r"^\| (\d+) \| (\w+) \| `(\w+)` \|", layout_sections()[name], re.MULTILINE)
+    expected: list[tuple[str, str, str]] = []
+    for layout in (codec.command_layout, codec.telemetry_layout):
+        parts = [(field.offset, field.type, field.name) for field in layout.fields]
+        parts += [(0, "bytes", "header")] if layout.header else []
+        parts += [(layout.length - len(layout.terminator), "bytes", "terminator")] if layout.terminator else []
+        parts += [(layout.crc.offset, f"u{8 * layout.crc.size}", "crc")] if layout.crc else []
+        expected += [(str(offset), kind, what) for offset, kind, what in sorted(parts)]
+    assert rows == expected
+
+
+def test_every_shipped_profile_has_a_layout_on_the_page() -> None:
+    """Those without a section of their own carry the bytes of one that has."""
+    sections = layout_sections()
+    for name in config_names("targets"):
+        profile = TargetProfile.load(name)
+        own = name if name in sections else "serial-framed"
+        sent, told = profile.codec, TargetProfile.load(own).codec
+        report = told.encode(Command.drive(40.0), 7)
+        assert sent.encode(Command.drive(40.0), 7) == report.ljust(sent.command_layout.length, b"\0")
+        assert sent.telemetry_layout.fields == told.telemetry_layout.fields
 
 
 @pytest.mark.parametrize(("where", "block"), blocks("toml"))
