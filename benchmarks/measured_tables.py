@@ -135,6 +135,7 @@ def before_after(cases: Sequence[Case]) -> str:
         "chance may leave",
         "backlash",
         "dry friction",
+        "dry friction, gain and lag free",
     ]
     return table([*head, "larger B", "B falling with power", "after would pass with a scatter of"], rows)
 
@@ -242,12 +243,17 @@ def facts(data: Path, scratch: Path, cases: Sequence[Case]) -> dict[str, str]:
         found = arm.judged.diagnosis.found.declared if stage == "declared" else arm.judged.diagnosis.final
         ends[stage] = response.run(Plant.of(found.fit.model)).angle_deg[-1]
     one = by_name["elevator"]
+    lifted = [by_name[name] for name in LIFTED]
+    dry = [c.judged.asked[1].fit.model.number("coulomb_friction.level_pct") for c in lifted if c.judged.asked[1].fit]
+    larger = [1e3 * c.viscous[0].fit.constants[0][0] for c in lifted if c.viscous[0].fit]
     return {
         "power_span": f"{seen[-1] - seen[0]:.1f}",
         "power_span_before": f"{overshoots[-1] - overshoots[0]:.1f}",
         "arm_end_before": f"{ends['declared']:.1f}",
         "arm_end_after": f"{ends['final']:.1f}",
         "count_overshoot": f"{100.0 / (5.0 * DEG_PER_CM):.2f}",
+        "dry_span": f"{min(dry):.1f} to {max(dry):.1f}",
+        "larger_span": f"{min(larger):.1f} to {max(larger):.1f}",
         "joint_steps": steps_table(one),
         "joint_before": words.number(one.before, 3),
         "joint_after": words.number(one.after, 3),
