@@ -48,7 +48,9 @@ def halves(source: Path, folder: Path) -> tuple[Path, Path]:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first column is text, the others are numbers."""
+    """A Markdown table; the first column is text, the others are numbers. Raises ValueError for an odd row."""
+    if any(len(row) != len(head) for row in rows):
+        raise ValueError(f"a row of the table of {head[0]!r} has not {len(head)} cells")
     lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"
 

@@ -27,6 +27,7 @@ from fiohost.motor.model import Model
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import measured_page  # noqa: E402
 import measured_tables  # noqa: E402
 import text_steady  # noqa: E402
 import text_tables  # noqa: E402
@@ -186,6 +187,12 @@ def test_tables_are_joined_row_by_row(responses: Responses) -> None:
     assert text_tables.off(responses, figures) == 0.0
     moved = [{**own, "rise_s": own["rise_s"] + FIGURES[1].floor} for own in figures]
     assert text_tables.off(responses, moved) == pytest.approx(np.sqrt(1.0 / 3.0))
+
+
+def test_a_row_of_the_page_has_a_cell_for_every_heading() -> None:
+    assert measured_page.table(["a", "b"], [["1", "2"]]).splitlines()[-1] == "| 1 | 2 |"
+    with pytest.raises(ValueError, match="has not 2 cells"):
+        measured_page.table(["a", "b"], [["1", "2"], ["1", "2", "3"]])
 
 
 # ---- the page itself, where the printed tables are -----------------------------------------------------------------
