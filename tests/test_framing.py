@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+import secrets
 import struct
 import tracemalloc
 import zlib
 from binascii import crc_hqx
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -320,3 +323,16 @@ def test_each_command_has_its_number() -> None:
     assert [struct.unpack_from("<H", report, 2)[0] for report in sent] == [0, 1, 2]
     link._sent = 65535
     assert struct.unpack_from("<H", link.encode(BRAKE_COMMAND), 2)[0] == 0
+
+
+# ---- mutated reports -----------------------------------------------------------------------------------------------
+
+
+def test_mutated_reports_raise_typed_errors_only_and_memory_does_not_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few of the million that ``benchmarks/fuzz.py`` tries before a release."""
+    monkeypatch.syspath_prepend(Path(__file__).parent.parent / "benchmarks")
+    fuzz = importlib.import_module("fuzz")
+    seen, grown = fuzz.fuzz(3000, seed=secrets.randbelow(10**6))
+    assert grown < fuzz.MOST_GROWTH_BYTES
+    assert seen["accepted"] > 500
+    assert min(seen[f"refused: {reason}"] for reason in ("crc", "header", "length", "terminator", "values")) > 0
