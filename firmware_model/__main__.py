@@ -34,8 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def on_signal(signum: int, frame: FrameType | None) -> None:
         stopped.append(signum)
 
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        signal.signal(getattr(signal, name), on_signal)
     try:
         plant = _plant(asked)
         layout = asked.layout or ("documented" if _is_stream(asked) else "assumed")
@@ -44,8 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except FirmwareModelError as exc:
         print(f"firmware_model: {exc}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        return 130
     target = line.where if line.where.startswith("hid:") else f"{'serial' if line.stream else 'hid'} at {line.where}"
     guard = f"watchdog {plant.watchdog['timeout_s']:g} s" if plant.watchdog else "no watchdog"
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), on_signal)
     print(f"plant {plant.name}, layout {layout}, {guard}: {target}; Ctrl-C ends", flush=True)
     try:
         kept = serve(step, line, layout, step_s=1e-3 * asked.step_ms, stop=lambda: bool(stopped))

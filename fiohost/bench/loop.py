@@ -43,6 +43,7 @@ from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telem
 logger = logging.getLogger("fiohost.bench")
 
 TELEMETRY_TIMEOUT_S = 0.05
+SILENCE = f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
 REST_S = 0.1  # at rest: no count for this long
 SETTLE_LIMIT_S = 5.0
 BRAKE_REPEATS = 5  # a brake may be lost on its way, and nobody else would send another
@@ -279,7 +280,7 @@ class Bench:
             reading = self._read()
         except TelemetryTimeoutError as exc:
             if not lock_step:
-                raise
+                raise TelemetryTimeoutError(f"{SILENCE} ({exc})") from exc
             statistics.silent += 1
             problem = exc
         except ReportError as exc:
@@ -293,9 +294,7 @@ class Bench:
             self._lost_in_a_row = 0
             if isinstance(problem, ReportError):
                 raise problem
-            raise TelemetryTimeoutError(
-                f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
-            ) from problem
+            raise TelemetryTimeoutError(SILENCE) from problem
         return reading
 
     def _read(self) -> Telemetry:

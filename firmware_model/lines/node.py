@@ -50,7 +50,8 @@ class NodeLine:
             os.write(self._fd, report)
 
     def _lost(self) -> None:
-        os.close(self._fd)
+        with suppress(OSError):
+            os.close(self._fd)
         self._fd = -1
 
     def close(self) -> None:

@@ -1,0 +1,167 @@
+"""The simulated board as a device of its own: served in real time, with or without a watchdog, on any line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from boards import rows_of
+
+from fiohost.bench.connect import connect
+from fiohost.transport.serial import SerialTransport
+from firmware_model import FirmwareModelError, gadget
+from firmware_model.__main__ import main
+from firmware_model.lines.node import NodeLine, PtyLine
+from firmware_model.serve import serve
+
+ROOT = Path(__file__).parent.parent
+# a busy machine holds up the board's process too
+PATIENT_HOST = (
+    "from fiohost.bench import loop; loop.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
+)
+
+
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fiohost.bench.loop.TELEMETRY_TIMEOUT_S", 2.0)
+
+
+@contextmanager
+def served(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "firmware_model", "--pty", str(link), *options]
+    board = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert board.stdout is not None
+    try:
+        assert "Ctrl-C ends" in board.stdout.readline()
+        yield board
+    finally:
+        board.send_signal(signal.SIGTERM)
+        board.communicate(timeout=60)
+
+
+def turned(port: SerialTransport, seconds: float) -> int:
+    """Counts between the first and the last packet of some seconds of listening, the short way round."""
+    data, end = b"", time.monotonic() + seconds
+    while time.monotonic() < end:
+        data += port.receive(5.0)
+    first, last = data.index(b"\x7e\x7e"), data.rindex(b"\x7e\x7e", 0, len(data) - 6)
+    difference = int.from_bytes(data[last + 3 : last + 5], "little") - int.from_bytes(
+        data[first + 3 : first + 5], "little"
+    )
+    return abs((difference + 360) % 720 - 360)
+
+
+def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_stops_it(tmp_path: Path) -> None:
+    for options, runs_on in (((), True), (("--watchdog", "0.1"), False)):
+        link, log = tmp_path / f"board{runs_on}", tmp_path / f"{runs_on}.csv"
+        with served(link, *options) as board:
+            arguments = ["manual", "--pwm", "10", "--log", str(log), "--target", f"serial:{link}"]
+            host = subprocess.Popen(
+                [sys.executable, "-c", PATIENT_HOST, *arguments], stdout=subprocess.DEVNULL, cwd=ROOT
+            )
+            deadline = time.monotonic() + 60
+            while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 40):
+                time.sleep(0.02)
+            host.kill()
+            host.wait()
+            assert len(rows_of(log)) >= 40
+            time.sleep(1.0)
+            with SerialTransport(str(link)) as port:
+                counts = turned(port, 0.3)
+            assert (counts > 10) == runs_on
+            with connect(f"serial:{link}") as bench:  # the next host brakes it first of all
+                bench.settle()
+            assert board.poll() is None
+
+
+def test_the_board_is_driven_as_in_this_process(tmp_path: Path) -> None:
+    with served(tmp_path / "board") as board:
+        with connect(f"serial:{tmp_path / 'board'}") as bench:
+            log = bench.drive(40.0, 1.5)
+        with connect("sim") as bench:
+            there = bench.drive(40.0, 1.5)
+        board.send_signal(signal.SIGINT)
+        said = board.communicate(timeout=60)[0]
+    assert board.returncode == 0
+    assert "steps" in said
+    assert not (tmp_path / "board").exists()
+    speed = (log.output[-1] - log.output[-101]) / (log.time_s[-1] - log.time_s[-101])
+    there_speed = (there.output[-1] - there.output[-101]) / (there.time_s[-1] - there.time_s[-101])
+    assert speed == pytest.approx(there_speed, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--pty", "--plant", "nothing"], "no plant named 'nothing'"),
+        (["--pty", "--layout", "assumed"], "has no header"),
+        (["--pty", "--watchdog", "1000"], "outside 0.005 to 60"),
+        (["--pty", "--step-ms", "nan"], "outside 0.1 to 1000"),
+        (["--device", "/dev/ttyGS99"], "cannot open /dev/ttyGS99"),
+        (["--pty", "/no/such/folder/link"], "cannot make the link"),
+    ],
+)
+def test_what_cannot_be_served_is_said_in_a_sentence(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_deadlines_are_absolute_a_late_step_delays_no_other() -> None:
+    line = PtyLine()
+    begun, steps = time.monotonic(), []
+
+    def step(packet: bytes | None) -> bytes:
+        if len(steps) == 10:
+            time.sleep(0.1)
+        steps.append(time.monotonic())
+        return b""
+
+    kept = serve(step, line, "documented", stop=lambda: len(steps) >= 60)
+    line.close()
+    assert kept.steps == 60
+    assert kept.worst_s >= 0.09
+    assert steps[29] - steps[10] < 0.09  # steps 11 to 29 make up for the late one: 19 take less than 95 ms
+    assert steps[-1] - begun >= 0.29
+
+
+def test_a_node_of_reports_is_read_report_by_report_and_survives_an_unplug(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "hidg0")
+    node = NodeLine(str(tmp_path / "hidg0"), stream=False)
+    node.send(b"a" * 64)
+    assert node.receive() == [b"a" * 64]
+    os.close(node._fd)  # as the kernel does it: every call fails
+    assert node.receive() == []
+    node.send(b"b" * 64)
+    assert node.receive() == [b"b" * 64] or node.receive() == []
+    node.close()
+
+
+def test_a_gadget_is_made_as_the_kernel_wants_it_and_taken_away(tmp_path: Path) -> None:
+    configfs, controllers = tmp_path / "usb_gadget", tmp_path / "udc"
+    configfs.mkdir()
+    controllers.mkdir()
+    with pytest.raises(FirmwareModelError, match="can be a device"):
+        gadget.up(configfs, controllers)
+    (controllers / "dummy_udc.0").mkdir()
+    assert gadget.up(configfs, controllers) == "dummy_udc.0"
+    made = configfs / "firmware_model"
+    assert (made / "idProduct").read_text() == "0x5750\n"
+    assert (made / "functions/hid.usb0/report_length").read_text() == "64\n"
+    assert (made / "configs/c.1/hid.usb0").resolve() == made / "functions/hid.usb0"
+    assert (made / "configs/c.1/acm.usb0").is_symlink()
+    assert (made / "UDC").read_text() == "dummy_udc.0\n"
+    gadget.unplug(configfs)
+    assert (made / "UDC").read_text() == "\n"
+    gadget.down(configfs)
+    assert not list((made / "configs/c.1").glob("*.usb0"))
+    with pytest.raises(FirmwareModelError, match="File exists"):
+        gadget.up(configfs, controllers)  # a folder with files stays, other than in configfs
