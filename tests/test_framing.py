@@ -148,6 +148,13 @@ def test_a_profile_that_cannot_carry_the_messages_is_refused(old: str, new: str,
         TargetProfile.parse(text.replace(old, new), "changed")
 
 
+def test_a_hid_profile_numbers_all_reports_or_none() -> None:
+    text = TargetProfile.load("hid-assumed").text.replace("[command] ", "[command]\nreport_id = 1 #")
+    with pytest.raises(ConfigError, match="numbers all reports or none"):
+        TargetProfile.parse(text.replace("offset = 5", "offset = 6").replace("offset = 4", "offset = 5").replace(
+            "offset = 0 },\n    { name = \"c3", "offset = 1 },\n    { name = \"c3"), "one way")  # fmt: skip
+
+
 def test_a_duty_in_whole_numbers_is_logged_as_the_board_reads_it() -> None:
     text = TargetProfile.load("serial-documented").text.replace(
         '"duty_pct", type = "f32"', '"duty_pct", type = "u16", scale = 0.1'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import random
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +16,8 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiohost.bench.connect import asking, connect, split_target
+from fiohost.bench.clock import PlayedClock
+from fiohost.bench.connect import asking, connect, split_target, watched
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.limits import Limiter
 from fiohost.bench.log import Log
@@ -98,8 +100,9 @@ def test_a_trace_that_ends_early_ends_the_replay_in_one_sentence(tmp_path: Path)
         bench.run(STAIRS)
     text = whole.read_text()
     cut.write_text(text[: len(text) // 2])  # in mid-line, as after a crash
-    with pytest.raises(DisconnectedError, match="ends here"), connect(f"replay:{cut}") as bench:
+    with pytest.raises(DisconnectedError, match="ends here") as caught, connect(f"replay:{cut}") as bench:
         bench.run(STAIRS, tmp_path / "log.csv")
+    assert not getattr(caught.value, "__notes__", [])[1:]  # nothing about a motor that may be running
     assert len(Log.read(tmp_path / "log.csv")) > 20
 
 
@@ -172,6 +175,42 @@ def test_a_full_disk_under_the_trace_ends_the_run_with_a_brake(tmp_path: Path, m
     ):
         bench.drive(50.0, 1.0)
     assert sent[-1][:6] == bytes.fromhex("00 00 00 00 01 01")
+
+
+class Chopped(SimulatedTransport):
+    """The framed board on a line without borders: pieces of any size, garbage between them, no lock step."""
+
+    stream, lock_step = True, False
+
+    def __init__(self) -> None:
+        board = Board(make_plant(MOTOR, "chopped"), seed=1, layout="framed")
+        super().__init__(board.step, "serial:x", "a stream")
+        self._random, self._held, self.time_s = random.Random(1), b"", 0.0
+
+    def receive(self, timeout_s: float) -> bytes:
+        self.time_s += 0.005
+        garbage = self._random.randbytes(20) + b"\xa5\x5a" if self._random.random() < 0.03 else b""
+        self._held += garbage + super().receive(timeout_s)
+        cut = self._random.randint(1, len(self._held))
+        piece, self._held = self._held[:cut], self._held[cut:]
+        return piece
+
+
+def test_a_run_on_a_chopped_stream_has_the_rows_of_its_ticks_and_replays_alike(tmp_path: Path) -> None:
+    profile = TargetProfile.load("serial-framed")
+    line = Chopped()
+    clock = PlayedClock(lambda: line.time_s)
+    with asking(trace=tmp_path / "t.jsonl"), Bench(watched(line, profile, clock), profile, clock=clock) as bench:
+        log = bench.run(STAIRS)
+        counts = bench.statistics.link
+    assert counts.garbage_bytes > 20
+    assert len(log) > 60
+    assert log.time_s[-1] == pytest.approx(0.6, abs=0.03)
+    assert "bytes of garbage" in log.metadata["tick_statistics"]
+    with connect(f"replay:{tmp_path / 't.jsonl'}") as bench:
+        again = bench.run(STAIRS)
+        assert bench.statistics.link == counts
+    assert np.array_equal(rows(log), rows(again))
 
 
 # ---- sniff ---------------------------------------------------------------------------------------------------------

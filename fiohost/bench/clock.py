@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 
 class Clock(ABC):
@@ -45,3 +46,18 @@ class MonotonicClock(Clock):
         if left > 0.0:
             time.sleep(left)
         return max(0.0, time.monotonic() - deadline_s)
+
+
+class PlayedClock(Clock):
+    """The clock of a recorded run: it stands where the recording does, so that what was late then is late again."""
+
+    real = True
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+
+    def now_s(self) -> float:
+        return self._now_s()
+
+    def wait_until(self, deadline_s: float) -> float:
+        return max(0.0, self._now_s() - deadline_s)

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from fiohost import __version__
-from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
+from fiohost.bench.clock import Clock, MonotonicClock, PlayedClock, VirtualClock
 from fiohost.bench.loop import Bench
 from fiohost.bench.seal import MAX_SEED, SEALED, draw_seed, store_seed
 from fiohost.errors import ConfigError
@@ -83,8 +83,12 @@ def connect(
     transport, profile = open_target(target, seed=seed, run_id=run_id, realtime=realtime)
     asked = _asked.get()
     profile = replace(profile, limits=profile.limits.within({**asked.limits, **(limits or {})}))
-    virtual = transport.lock_step or isinstance(transport, ReplayTransport)
-    clock: Clock = VirtualClock() if virtual and not realtime else MonotonicClock()
+    clock: Clock = MonotonicClock()
+    if transport.lock_step and not realtime:
+        clock = VirtualClock()
+    elif isinstance(transport, ReplayTransport) and not realtime:
+        replay = transport
+        clock = PlayedClock(lambda: replay.time_s)
     line = watched(transport, profile, clock)
     return Bench(line, profile, clock=clock, run_id=run_id, reconnect_s=reconnect_s or asked.reconnect_s)
 

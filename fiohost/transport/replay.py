@@ -35,12 +35,13 @@ class ReplayTransport(Transport):
         self._paced = paced
         self._events: Iterator[Event] = iter(())
         self._began_s = 0.0
-        self._open = False
+        self._open = self._ended = False
+        self.time_s = 0.0  # of the last event that was played
 
     def open(self) -> None:
         self._events = self._reader.events()
         self._began_s = time.monotonic()
-        self._open = True
+        self._open, self._ended = True, False
 
     def send(self, report: bytes) -> None:
         if not self._open:
@@ -48,6 +49,7 @@ class ReplayTransport(Transport):
 
     def receive(self, timeout_s: float) -> bytes:
         for event in self._events:
+            self.time_s = event.time_s
             if event.direction == "out":
                 continue
             if self._paced:
@@ -58,6 +60,9 @@ class ReplayTransport(Transport):
                 break
             self.passed_over += event.passed_over
             return event.data
+        if self._ended:  # no more is said to a bench that goes on to brake
+            raise TelemetryTimeoutError("the trace has ended")
+        self._ended = True
         raise DisconnectedError(f"the trace {self._reader.path} ends here")
 
     def close(self) -> None:
