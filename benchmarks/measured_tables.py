@@ -255,6 +255,9 @@ def facts(data: Path, scratch: Path, cases: Sequence[Case]) -> dict[str, str]:
         "dry_span": f"{min(dry):.1f} to {max(dry):.1f}",
         "larger_span": f"{min(larger):.1f} to {max(larger):.1f}",
         "joint_steps": steps_table(one),
+        "joint_walked": words.number(
+            left_out_rms(one.judged.diagnosis.evidence, one.judged.diagnosis.final.fit, looks=LOOKS), 3
+        ),
         "joint_before": words.number(one.before, 3),
         "joint_after": words.number(one.after, 3),
         "joint_falling": words.number(one.viscous[1].rms, 3),

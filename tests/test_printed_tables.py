@@ -18,7 +18,7 @@ from fiohost.discover.tables.diagnose import diagnose_tables
 from fiohost.discover.tables.evidence import Figure, Row
 from fiohost.discover.tables.responses import Response, Responses
 from fiohost.discover.tables.search import Search
-from fiohost.discover.tables.worth import scatter_needed, worth
+from fiohost.discover.tables.worth import left_out_rms, scatter_needed, worth
 from fiohost.errors import ConfigError
 from fiohost.labs.constants import TEXT
 from fiohost.labs.tables import judge, plot_rows
@@ -75,6 +75,8 @@ def test_the_effect_that_is_there_is_worth_nearly_all_and_another_less(responses
     assert right.left_out_rms is not None
     assert wrong.left_out_rms is not None
     assert right.left_out_rms < 0.2 * wrong.left_out_rms
+    walked = left_out_rms(found.evidence, right.fit, looks=20)
+    assert walked == pytest.approx(right.left_out_rms, rel=0.05)  # a smooth case: nothing to walk past
 
 
 @pytest.mark.parametrize(("name", "why"), [("gravity_load", "at which angle"), ("linear", "part of")])

@@ -307,12 +307,14 @@ def deviations(evidence: Evidence, model: Model, constants: Sequence[Sequence[fl
     return np.concatenate(left)
 
 
-def without_row(evidence: Evidence, fitted: TableFit, row: int) -> np.ndarray:
-    """What is left of a row (in floors) by the model fitted to the others."""
+def without_row(evidence: Evidence, fitted: TableFit, row: int, looks: int = 0) -> np.ndarray:
+    """What is left of a row (in floors) by the model fitted to the others, with ``looks`` of a simplex beyond that."""
     rest = [i for i in range(len(evidence)) if i != row]
     problem = _Problem(evidence, fitted.model, rest)
     measured = np.concatenate([evidence.measured(evidence.places[i]) for i in rest])
     x = problem.solve(vector(evidence, fitted.model, fitted.constants), measured, AGAIN)
+    if looks:
+        x = problem.settle(x, measured, looks)
     plant, constants = problem.split(x)
     place = evidence.places[row]
     return np.asarray(evidence.measured(place) - evidence.in_floors(place, evidence.predict(place, plant, constants)))

@@ -131,8 +131,8 @@ def can_be_left_out(evidence: Evidence, fitted: TableFit) -> bool:
     return len(evidence) > 1 and evidence.samples - most >= parameter_count(evidence, fitted)
 
 
-def left_out(evidence: Evidence, fitted: TableFit) -> tuple[np.ndarray, ...]:
-    return tuple(without_row(evidence, fitted, row) for row in range(len(evidence)))
+def left_out(evidence: Evidence, fitted: TableFit, looks: int = 0) -> tuple[np.ndarray, ...]:
+    return tuple(without_row(evidence, fitted, row, looks) for row in range(len(evidence)))
 
 
 def validated(fitted: TableFit, residuals: Sequence[np.ndarray]) -> Validated:

@@ -43,11 +43,15 @@ def worth(search: Search, stage: TableStage, name: str) -> Worth:
     return Worth(name, fitted, fitted.rms, left_out_rms(search.evidence, fitted), why)
 
 
-def left_out_rms(evidence: Evidence, fitted: TableFit) -> float | None:
-    """Error of rows left out of a fit in turn, in floors."""
+def left_out_rms(evidence: Evidence, fitted: TableFit, looks: int = 0) -> float | None:
+    """Error of rows left out of a fit in turn, in floors.
+
+    Figures jump, so that a fit may stay where it is when a row is taken away, and remember that row; ``looks`` of a
+    simplex walk it on.
+    """
     if not can_be_left_out(evidence, fitted):
         return None
-    return float(np.sqrt(np.mean(np.concatenate(left_out(evidence, fitted)) ** 2)))
+    return float(np.sqrt(np.mean(np.concatenate(left_out(evidence, fitted, looks)) ** 2)))
 
 
 def scatter_needed(rms: float, limit_rms: float) -> float:
