@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -240,6 +241,21 @@ def test_sniff_drives_nothing_and_says_what_does_not_fit(tmp_path: Path, monkeyp
     assert done.exit_code == 0, done.output
     assert "REFUSED: a report begins with 00 00" in done.stdout
     assert "5 reports do not fit the layout" in done.stdout
+
+
+@pytest.mark.parametrize("group", [(), ("lab",)])
+def test_every_command_with_a_target_can_be_traced_and_limited(group: tuple[str, ...]) -> None:
+    parent: Any = cli
+    for name in group:
+        parent = parent.get_command(click.Context(parent), name)
+    found = 0
+    for name in parent.list_commands(click.Context(parent)):
+        command = parent.get_command(click.Context(parent), name)
+        options = {option for parameter in command.params for option in parameter.opts}
+        if "--target" in options:
+            found += 1
+            assert {"--trace", "--limit"} <= options, name
+    assert found > 4
 
 
 # ---- targets -------------------------------------------------------------------------------------------------------
