@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from fiohost import __version__
+from fiohost.bench import cable
 from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.limits import Limiter
@@ -49,12 +50,8 @@ SETTLE_LIMIT_S = 5.0
 BRAKE_REPEATS = 5  # a brake may be lost on its way, and nobody else would send another
 STILL_TICKS = 5  # a braked shaft is believed to stand after this many equal readings, and as many in silence
 BRAKE_LIMIT_S = 1.0
-START_LIMIT_S = 2.0  # for a real board's first report; some start anew when their port is opened
 SILENT_TICKS = 3  # a target that takes one packet a step works off what is under way before it is sent more
-RATE_TOLERANCE = 0.25
-RATE_STEPS = 100  # to be sure of a rate that looks wrong
 GAP_S = 0.1  # after so long without a reading, queues may have lost reports: the clock counts too
-RETRY_S = 0.05
 COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
 
 
@@ -105,7 +102,7 @@ class Bench:
         self._count_anew()
         transport.open()
         if not transport.lock_step:
-            self._greet()
+            cable.greet(transport, self._link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
         layout = f"{profile.name} (layout {profile.status})"
         logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
 
@@ -348,35 +345,13 @@ class Bench:
             return self._steps * self.sample_time_s
         return self.clock.now_s() - self._opened_s
 
-    def _greet(self) -> None:
-        """Brake what an earlier host may have left running, first of all, and wait for the board's first word."""
-        transport = self.transport
-        if transport.can_reopen and not self.profile.watchdog_s:
-            logger.warning("the board has no watchdog: should this host die in mid-run, the motor runs on")
-        try:
-            transport.send(self._link.encode(BRAKE_COMMAND))
-            deadline_s = self.clock.now_s() + START_LIMIT_S
-            while True:
-                try:
-                    transport.receive(TELEMETRY_TIMEOUT_S)
-                    break
-                except TelemetryTimeoutError as exc:
-                    if self.clock.now_s() > deadline_s:
-                        raise TelemetryTimeoutError(
-                            f"{transport.name} is open but sends nothing for {START_LIMIT_S:g} s: is the board's "
-                            "program running, and is this the right port? 'fiohost sniff' shows what comes"
-                        ) from exc
-        except BaseException:
-            transport.close()
-            raise
-
     def _settle(self, stop: StopSignals) -> None:
         real_line = not self.transport.lock_step
         if self.transport.lock_step and self.clock.real:
             self._due_s = self.clock.now_s()
         self._link.begin()
         quiet, last = 0, -1
-        begun: tuple[float, int] | None = None
+        rate = cable.Rate(self.transport.name, self.profile)
         for turn in range(round(SETTLE_LIMIT_S / self.sample_time_s)):
             stop.check()
             reading = self._receive()
@@ -384,37 +359,15 @@ class Bench:
                 self.transport.send(self._link.encode(BRAKE_COMMAND))
             if reading is None:
                 continue
-            if begun is None and turn >= SILENT_TICKS:
-                begun = self._read_s, self._steps
+            if real_line and self.clock.real and turn >= SILENT_TICKS:
+                rate.note(self._read_s, self._steps)
             quiet = quiet + 1 if reading.pos == last else 0
             last = reading.pos
-            if quiet * self.sample_time_s >= REST_S and (not real_line or self._keeps_its_rate(begun)):
+            if quiet * self.sample_time_s >= REST_S and rate.is_right():
                 break
         settled = "at rest" if quiet * self.sample_time_s >= REST_S else "still moving under brake"
         logger.info("%s after %.3f s at POS %d", settled, self.statistics.ticks * self.sample_time_s, last)
         self._count_anew()
-
-    def _keeps_its_rate(self, begun: tuple[float, int] | None) -> bool:
-        """Whether reports come as often as the profile says; False to look longer. Raises TransportError if not.
-
-        A rate of another kind would make every time in the log wrong, and fill the buffer of a target that takes one
-        packet a step.
-        """
-        steps = 0 if begun is None else self._steps - begun[1]
-        if begun is None or not self.clock.real:
-            return True
-        if steps == 0:
-            return False
-        step_s = (self._read_s - begun[0]) / steps
-        if abs(step_s / self.sample_time_s - 1.0) <= RATE_TOLERANCE:
-            return True
-        if steps < RATE_STEPS:
-            return False
-        raise TransportError(
-            f"{self.transport.name} sends a report every {1e3 * step_s:.3g} ms, the profile {self.profile.name} says "
-            f"{1e3 * self.sample_time_s:g} ms: set sample_time_s = {step_s:.2g} in a profile of your own, or let the "
-            "board send once a task step"
-        )
 
     @contextmanager
     def _braked_after(self, stop: StopSignals) -> Iterator[None]:
@@ -425,26 +378,13 @@ class Bench:
             try:
                 self._brake()
             except FiohostError as failed:
-                exc.add_note(self._brake_when_back(stop, failed))
+                exc.add_note(
+                    cable.brake_when_back(
+                        self.transport, self._brake, failed, self.clock, self.reconnect_s, lambda: bool(stop.requested)
+                    )
+                )
             raise
         self._brake()
-
-    def _brake_when_back(self, stop: StopSignals, failed: FiohostError) -> str:
-        """Wait for a board that went away, for ``reconnect_s`` or until a signal, and brake it; what came of it."""
-        running = f"the brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING"
-        if not (self.reconnect_s and self.transport.can_reopen):
-            return running + "; cut its power, or plug the board in and run 'fiohost manual --pwm 0'"
-        logger.warning("%s; waiting for the board to come back", running)
-        began_s = self.clock.now_s()
-        while not stop.requested and self.clock.now_s() - began_s < self.reconnect_s:
-            try:
-                self.transport.reopen()
-                self._brake()
-            except FiohostError:
-                self.clock.wait_until(self.clock.now_s() + RETRY_S)
-            else:
-                return f"the board came back after {self.clock.now_s() - began_s:.1f} s and was braked first of all"
-        return running + f"; it was not back after {self.clock.now_s() - began_s:.1f} s"
 
     def _brake(self) -> None:
         """Send the brake, more than once: a line may lose or damage any report."""

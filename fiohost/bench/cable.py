@@ -1,0 +1,108 @@
+"""What a bench does differently on a real line: greet the board, know its rate, and brake it when it comes back."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from fiohost.bench.clock import Clock
+from fiohost.errors import FiohostError, TelemetryTimeoutError, TransportError
+from fiohost.transport.base import Transport
+from fiohost.transport.profile import TargetProfile
+
+logger = logging.getLogger("fiohost.bench")
+
+START_LIMIT_S = 2.0  # for the first report; some boards start anew when their port is opened
+LISTEN_S = 0.05
+RETRY_S = 0.05
+RATE_TOLERANCE = 0.25
+RATE_STEPS = 100  # to be sure of a rate that looks wrong
+
+
+def greet(transport: Transport, brake: bytes, clock: Clock, watchdog_s: float) -> None:
+    """Brake what an earlier host may have left running, first of all, and wait for the board's first word.
+
+    Raises TelemetryTimeoutError where it says nothing, after closing the line.
+    """
+    if transport.can_reopen and not watchdog_s:
+        logger.warning("the board has no watchdog: should this host die in mid-run, the motor runs on")
+    try:
+        transport.send(brake)
+        deadline_s = clock.now_s() + START_LIMIT_S
+        while True:
+            try:
+                transport.receive(LISTEN_S)
+                return
+            except TelemetryTimeoutError as exc:
+                if clock.now_s() > deadline_s:
+                    raise TelemetryTimeoutError(
+                        f"{transport.name} is open but sends nothing for {START_LIMIT_S:g} s: is the board's program "
+                        "running, and is this the right port? 'fiohost sniff' shows what comes"
+                    ) from exc
+    except BaseException:
+        transport.close()
+        raise
+
+
+class Rate:
+    """How often reports come, against the profile's sample time.
+
+    A board of another rate makes every time in the log wrong, and a faster host fills the buffer of a target that takes
+    one packet a step.
+    """
+
+    def __init__(self, name: str, profile: TargetProfile) -> None:
+        self._name, self._profile = name, profile
+        self._first: tuple[float, int] | None = None
+        self._last = (0.0, 0)
+
+    def note(self, time_s: float, step: int) -> None:
+        """A reading came, of that step of the board."""
+        self._first = self._first or (time_s, step)
+        self._last = (time_s, step)
+
+    def is_right(self) -> bool:
+        """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
+        if self._first is None:
+            return True
+        steps = self._last[1] - self._first[1]
+        if steps == 0:
+            return False
+        step_s, wanted_s = (self._last[0] - self._first[0]) / steps, self._profile.sample_time_s
+        if abs(step_s / wanted_s - 1.0) <= RATE_TOLERANCE:
+            return True
+        if steps < RATE_STEPS:
+            return False
+        raise TransportError(
+            f"{self._name} sends a report every {1e3 * step_s:.3g} ms, the profile {self._profile.name} says "
+            f"{1e3 * wanted_s:g} ms: set sample_time_s = {step_s:.2g} in a profile of your own, or let the board send "
+            "once a task step"
+        )
+
+
+def brake_when_back(
+    transport: Transport,
+    brake: Callable[[], None],
+    failed: FiohostError,
+    clock: Clock,
+    limit_s: float,
+    is_stopped: Callable[[], bool],
+) -> str:
+    """Wait for a board that went away, at most *limit_s* or until a signal, and brake it first of all.
+
+    Gives a sentence on what came of it; *failed* is why it could not be braked before.
+    """
+    running = f"the brake could not be sent ({failed}): THE MOTOR MAY BE RUNNING"
+    if not (limit_s and transport.can_reopen):
+        return running + "; cut its power, or plug the board in and run 'fiohost manual --pwm 0'"
+    logger.warning("%s; waiting for the board to come back", running)
+    began_s = clock.now_s()
+    while not is_stopped() and clock.now_s() - began_s < limit_s:
+        try:
+            transport.reopen()
+            brake()
+        except FiohostError:
+            clock.wait_until(clock.now_s() + RETRY_S)
+        else:
+            return f"the board came back after {clock.now_s() - began_s:.1f} s and was braked first of all"
+    return running + f"; it was not back after {clock.now_s() - began_s:.1f} s"
