@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from lines import FakeHidapi, info
 
 from fiohost.bench.loop import Bench
+from fiohost.bench.program import Answer
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
 from fiohost.transport import access, hid_modules
 from fiohost.transport import lock as locks
@@ -20,6 +23,7 @@ from fiohost.transport.hid import HidTransport
 from fiohost.transport.hid_modules import Backend, find_backends, working_backends
 from fiohost.transport.lock import DeviceLock
 from fiohost.transport.profile import TargetProfile
+from fiohost.wire.messages import Command
 from firmware_model.report import parse, telemetry
 
 
@@ -272,29 +276,29 @@ def test_the_installed_hidapi_works() -> None:
 # ---- a bench on it -------------------------------------------------------------------------------------------------
 
 
-def test_a_bench_over_hid_brakes_first_and_last() -> None:
+class Stepping(FakeHidapi):
     """A board that steps when it is asked for a report, five milliseconds of its own each."""
-    import time
 
-    class Stepping(FakeHidapi):
-        pos = 0
+    pos = 0
 
-        def device(self) -> Any:
-            device = super().device()
-            plain = device.read
+    def device(self) -> Any:
+        device = super().device()
+        plain = device.read
 
-            def read(size: int, timeout_ms: int = 0) -> list[int]:
-                if not timeout_ms:
-                    return plain(size)
-                time.sleep(0.005)
-                last = parse(self.written[-1][1:])
-                if last is not None and last.compare:
-                    self.pos = (self.pos + (5 if last.c3 else -5)) % 720
-                return list(telemetry(0, self.pos))
+        def read(size: int, timeout_ms: int = 0) -> list[int]:
+            if not timeout_ms:
+                return plain(size)
+            time.sleep(0.005)
+            last = parse(self.written[-1][1:])
+            if last is not None and last.compare:
+                self.pos = (self.pos + (5 if last.c3 else -5)) % 720
+            return list(telemetry(0, self.pos))
 
-            device.read = read  # type: ignore[method-assign]
-            return device
+        device.read = read  # type: ignore[method-assign]
+        return device
 
+
+def test_a_bench_over_hid_brakes_first_and_last() -> None:
     module = Stepping(info())
     with Bench(line(module), TargetProfile.load()) as bench:
         log = bench.drive(-30.0, 0.2)
@@ -305,6 +309,23 @@ def test_a_bench_over_hid_brakes_first_and_last() -> None:
     assert log.output[-1] < log.output[0] - 20.0
     assert log.metadata["serial_number"] == "A1"
     assert log.metadata["hid_backend"].startswith("hidraw")
+
+
+def test_reports_that_a_full_queue_lost_are_missing_rows_by_the_clock() -> None:
+    """While the host slept no report was kept, and none has a number."""
+
+    class Sleeping:
+        def step(self, k: int, angle_deg: float) -> Answer | None:
+            if k == 10:
+                time.sleep(0.4)
+            return (Command.drive(20.0), None) if k < 120 else None
+
+    with Bench(line(Stepping(info())), TargetProfile.load()) as bench:
+        log = bench.play(Sleeping())
+    gap = int(np.argmax(np.diff(log.time_s)))
+    assert log.time_s[gap] == pytest.approx(0.05, abs=0.1)
+    assert np.diff(log.time_s)[gap] >= 0.395
+    assert any("missing" in note for note in log.dropped)
 
 
 # ---- the board as a HID device of this computer --------------------------------------------------------------------
@@ -346,7 +367,6 @@ def test_the_board_speaks_to_the_kernel_as_uhid_wants_it(monkeypatch: pytest.Mon
 @pytest.mark.skipif(not os.access("/dev/uhid", os.W_OK), reason="this machine has no /dev/uhid that can be written")
 def test_a_run_over_the_hidraw_of_the_kernel() -> None:
     import threading
-    import time
 
     from firmware_model.lines.uhid import UhidLine
     from firmware_model.serve import serve

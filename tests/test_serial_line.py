@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from lines import BRAKE, PtyBoard
 
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench, Tick
 from fiohost.bench.stop import Stopped
+from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
 from fiohost.transport import serial as serial_line
 from fiohost.transport.profile import TargetProfile
@@ -210,6 +212,31 @@ def test_a_board_that_comes_back_is_braked_first_of_all(tmp_path: Path) -> None:
     time.sleep(0.02)
     boards[1].unplug()
     assert boards[1].commands
+    assert {tuple(command) for command in boards[1].commands} == {BRAKE}
+
+
+def test_the_command_line_waits_for_a_board_and_says_what_came_of_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    link = str(tmp_path / "board")
+    boards: list[PtyBoard] = []
+
+    def mangle(k: int, packet: bytes) -> bytes:
+        if k == 120:
+            boards[0].hang_up()
+            threading.Timer(0.2, lambda: boards.append(PtyBoard(link))).start()
+        return packet
+
+    boards.append(PtyBoard(link, mangle=mangle))
+    arguments = ["manual", "--pwm", "40", "--target", f"serial:{link}", "--reconnect", "20", "--json", "-"]
+    answer = CliRunner().invoke(cli, arguments)
+    for board in boards:
+        board.unplug()
+    assert answer.exit_code == 1
+    assert "unplugged or reset" in answer.stderr
+    assert "was braked first of all" in answer.stderr
+    assert "no watchdog" in caplog.text  # on standard error where nobody collects what is logged
+    assert "MOTOR MAY BE RUNNING; waiting" in caplog.text
     assert {tuple(command) for command in boards[1].commands} == {BRAKE}
 
 

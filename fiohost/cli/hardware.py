@@ -34,9 +34,12 @@ def devices(show_all: bool, json_to: str | None) -> None:
       fiohost manual --pwm 0 --target serial:/dev/ttyACM0
     """
     from fiohost.transport.discovery import find_devices
+    from fiohost.transport.hid_modules import find_backends
 
     out = output_for(json_to)
     found = find_devices()
+    for problem in find_backends()[1]:
+        out(f"note: {problem}")
     shown = [one for one in found if show_all or one.is_candidate]
     for one in shown:
         fits = f"; profiles {', '.join(one.profiles)}" if one.profiles else ""
