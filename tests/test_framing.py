@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import secrets
 import struct
 import tracemalloc
@@ -146,6 +147,28 @@ def test_a_profile_that_cannot_carry_the_messages_is_refused(old: str, new: str,
     assert old in text
     with pytest.raises(ConfigError, match=reason):
         TargetProfile.parse(text.replace(old, new), "changed")
+
+
+VALUES = st.one_of(
+    st.sampled_from(["0", "-1", "1e300", "99999999999", "nan", '""', '"7E"', '"u32"', '"big"', "[]", "{}", "true"]),
+    st.integers(0, 70).map(str),
+)
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(sorted(SHIPPED)), st.integers(0, 60), VALUES)
+def test_a_profile_with_any_value_changed_is_sound_or_refused(name: str, which: int, value: str) -> None:
+    text = TargetProfile.load(name).text
+    places = [match.span(1) for match in re.finditer(r"\w+ = (\"[^\"]*\"|[\w.]+)", text)]
+    begins, ends = places[which % len(places)]
+    try:
+        profile = TargetProfile.parse(text[:begins] + value + text[ends:], "changed")
+    except ConfigError:
+        return
+    link = Link(profile.codec)
+    assert len(link.encode(Command.drive(100.0))) == profile.codec.command_layout.length
+    report = profile.codec.telemetry_layout.encode(dict.fromkeys(profile.codec.telemetry_layout.names, 0))
+    assert link.receive(report) is not None
 
 
 def test_a_hid_profile_numbers_all_reports_or_none() -> None:

@@ -139,6 +139,18 @@ def test_any_bytes_behind_the_head_are_events_or_a_refusal(tmp_path_factory: Any
         assert all(event.direction for event in TraceReader(path).events())
 
 
+def test_a_trace_is_not_recorded_over_itself(tmp_path: Path) -> None:
+    path = tmp_path / "t.jsonl"
+    assert run("manual", "--pwm", 20, "--duration", 0.1, "--fast", "--trace", path).exit_code == 0
+    before = path.read_bytes()
+    done = run("manual", "--pwm", 20, "--duration", 0.1, "--fast", "--target", f"replay:{path}", "--trace", path)
+    assert done.exit_code == 1
+    assert "another name" in done.stderr
+    assert path.read_bytes() == before
+    assert run("manual", "--pwm", 30, "--duration", 0.05, "--fast", "--trace", path).exit_code == 0
+    assert path.read_bytes().count(b"fiohost.trace/1") == 1  # anew
+
+
 def test_a_trace_that_cannot_be_written_is_refused_before_anything_moves(tmp_path: Path) -> None:
     done = run("manual", "--pwm", 20, "--duration", 0.1, "--fast", "--trace", tmp_path / "no" / "t.jsonl")
     assert done.exit_code == 1
@@ -158,6 +170,8 @@ def test_a_full_disk_under_the_trace_ends_the_run_with_a_brake(tmp_path: Path, m
             if self.left < 0:
                 raise OSError(errno.ENOSPC, "No space left on device")
             return len(data)
+
+        def truncate(self, size: int) -> None: ...
 
         def close(self) -> None: ...
 

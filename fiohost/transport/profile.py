@@ -125,9 +125,7 @@ class TargetProfile:
         product_id = None if identity.raw("product_id") is None else identity.integer("product_id", low=0, high=0xFFFF)
         identity.finish()
         if transport == "hid" and (command.report_id is None) != (telemetry.report_id is None):
-            raise ConfigError(
-                f"{name}: a HID device numbers all reports or none: give both a report_id, or neither"
-            )
+            raise ConfigError(f"{name}: a HID device numbers all reports or none: give both a report_id, or neither")
         if transport == "serial":
             for layout in (command, telemetry):
                 if not layout.has_marks:

@@ -1,7 +1,7 @@
 """A wire trace: everything that crossed a line, one JSON object a line, readable by eye and by any program.
 
 The first object of a session says what it is of (its keys are in docs/protocol.md); then each line is one event with
-the time ``t`` in seconds since the trace began: ``{"t": 0.005, "dir": "in", "hex": "00 67 01"}``. ``dir`` is ``out``
+the time ``t`` in seconds since the session began: ``{"t": 0.005, "dir": "in", "hex": "00 67 01"}``. ``dir`` is ``out``
 (host to board), ``in``, ``none`` (nothing came while the host waited) or ``gone`` (the board went away). Every line is
 written as it happens; a trace that ends in mid-line is read up to there.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -37,21 +38,24 @@ class TraceWriter:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._origin_s: float | None = None
+        self._origin_s, self._begun = 0.0, False
         try:
-            self._file = self.path.open("wb", buffering=0)  # a line is one write: a killed host loses none
+            self._file = self.path.open("ab", buffering=0)  # a line is one write: a killed host loses none
         except OSError as exc:
             raise LogError(f"cannot write the trace {path}: {exc.strerror}; nothing was driven") from exc
         self._works = True
 
     def session(self, head: Mapping[str, Any], now_s: float) -> None:
-        """Begin a session; its times go on from those of the one before."""
-        if self._origin_s is None:
-            self._origin_s = now_s
+        """Begin a session, one bench on one line; its times begin at 0."""
+        self._origin_s = now_s
+        if not self._begun:  # only now: what was there before may be the trace to be replayed
+            self._begun = True
+            with suppress(OSError):  # a pipe has nothing to take away
+                self._file.truncate(0)
         self._line({"schema": SCHEMA, **head})
 
     def event(self, now_s: float, direction: str, data: bytes = b"", passed_over: int = 0) -> None:
-        line: dict[str, Any] = {"t": round(now_s - (self._origin_s or 0.0), 6), "dir": direction}
+        line: dict[str, Any] = {"t": round(now_s - self._origin_s, 6), "dir": direction}
         if data:
             line["hex"] = data.hex(" ")
         if passed_over:

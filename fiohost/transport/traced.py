@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fiohost.errors import DisconnectedError, TelemetryTimeoutError
+from fiohost.errors import DisconnectedError, LogError, TelemetryTimeoutError
 from fiohost.transport.base import Transport
 from fiohost.transport.trace import TraceWriter
 
@@ -47,7 +47,11 @@ class TracedTransport(Transport):
                 "counts_per_rev": self.counts_per_rev,
                 "facts": dict(self.facts),
             }
-            self._trace.session({**what, **self._head}, self._now_s())
+            try:
+                self._trace.session({**what, **self._head}, self._now_s())
+            except LogError:
+                self.inner.close()
+                raise
 
     def reopen(self) -> None:
         self.inner.reopen()
@@ -55,7 +59,11 @@ class TracedTransport(Transport):
     def send(self, report: bytes) -> None:
         if self._debug:
             traffic.debug("out %3d: %s", len(report), report.rstrip(b"\0").hex(" "))
-        self.inner.send(report)
+        try:
+            self.inner.send(report)
+        except DisconnectedError:
+            self._tell("gone")
+            raise
         self._tell("out", report)
 
     def receive(self, timeout_s: float) -> bytes:
