@@ -20,6 +20,7 @@ from fiohost.errors import LogError
 SCHEMA = "fiohost.log/1"
 COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
 _ENDING_BYTES = 240
+_STATISTICS_BYTES = 480  # of a bad line there is much to say
 _CLOCK_BYTES = 40
 _UNFINISHED = "unfinished (the host did not close this log)"
 
@@ -137,7 +138,7 @@ def _ending_lines(ending: str, statistics: str, bench_time_s: float | None) -> s
     clock = "" if bench_time_s is None else f"{bench_time_s:.6f}"
     return (
         _fixed(f"# ending: {ending}", _ENDING_BYTES)
-        + _fixed(f"# tick_statistics: {statistics}", _ENDING_BYTES)
+        + _fixed(f"# tick_statistics: {statistics}", _STATISTICS_BYTES)
         + _fixed(f"# bench_time_s: {clock}", _CLOCK_BYTES)
     )
 
