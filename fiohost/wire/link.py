@@ -16,7 +16,7 @@ MAX_GAP = 64  # numbers that can be missing in a row; beyond it they have begun 
 class LinkCounts:
     """What became of the board's reports. Lost, repeated and late ones show only where a layout numbers them."""
 
-    lost: int = 0  # numbers that never came
+    lost: int = 0  # numbers that never came, or not whole
     repeated: int = 0
     late: int = 0  # older than one that had come
     restarts: int = 0  # the numbers began anew: the board was reset
