@@ -1,6 +1,6 @@
 """Mutated reports against every parser of the wire: only typed errors, and no growth of memory. Run before a release.
 
-    python benchmarks/fuzz.py                 a million reports, about five minutes
+    python benchmarks/fuzz.py                 a million reports, five to ten minutes
     python benchmarks/fuzz.py --count 20000   fewer
 
 Good reports of every shipped layout are flipped, cut, lengthened, spliced and shuffled, and given to the codec, to the
