@@ -18,7 +18,7 @@ from fiohost.identify.fit import Fit, first_guess, fit, unchanged
 from fiohost.identify.intervals import covariance, estimates
 from fiohost.identify.predict import Flat, free_output
 from fiohost.identify.record import Record, make_record
-from fiohost.motor.effect import Effect, Value
+from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
 
 STARTS, RAW_STARTS = 4, 2
@@ -32,6 +32,8 @@ FINEST = np.geomspace(0.98, 1.02, 16)
 MOMENT_S = 2.0
 # The fine search goes on from where it came to while it pays.
 SEARCHED_AGAIN, STILL_BETTER = 3, 0.99
+# Another choice is searched where it comes this close, from these multiples of the size.
+ANOTHER_CHOICE, CHOICE_SIZES = 2.0, (1.0, -1.0, 0.5, -0.5, 2.0, -2.0)
 # Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
 FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
@@ -198,7 +200,16 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
 
 def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: bool = True) -> Fit:
     """A rough fit carried to its minimum; ``search`` also looks along the effect's ragged parameters."""
-    best = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
+    best = _thoroughly(
+        fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6), effect, records, search
+    )
+    others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters if search for c in p.choices]
+    near = [f for f in others if f is not best and f.cost < ANOTHER_CHOICE * best.cost]
+    return min((best, *(_thoroughly(f, effect, records, search) for f in near)), key=lambda f: f.cost)
+
+
+def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record], search: bool) -> Fit:
+    """A fit with its effect's ragged parameters searched, coarse, fine, and on while it pays."""
     for parameter in effect.parameters:
         if not (parameter.ragged and search):
             continue
@@ -209,6 +220,25 @@ def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], *, search: b
                 break
             was, best = best.cost, _searched(best, key, records, (FINE, FINEST))
     return best
+
+
+def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: str, records: Sequence[Record]) -> Fit:
+    """A fit with one choice made otherwise, from the size that suits it best; itself where it was made so.
+
+    A moment is found by any of the things that may have changed at it, and the wrong one can be ahead.
+    """
+    key = f"{effect.name}.{parameter.name}"
+    if found.model.values[key] == choice:
+        return found
+    changed, models = found.model.with_values({key: choice}), []
+    for size in (p for p in effect.parameters if p.neutral is not None and p.is_smooth):
+        name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
+        grown = [neutral + k * (found.model.number(name) - neutral) for k in CHOICE_SIZES]
+        models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
+    costs = [unchanged(m, records, starts=found.starts).cost for m in models]
+    if not models:
+        return found
+    return fit(models[int(np.argmin(costs))], records, starts=found.starts, max_iterations=12, tolerance=1e-4)
 
 
 def searched_again(found: Fit, records: Sequence[Record]) -> Fit:

@@ -78,7 +78,7 @@ def plant(time, p, on):  # type: ignore[no-untyped-def]
             tau *= p[CHANGE_RATIO]
         elif p[CHANGE_WHICH] == 1.0:
             grip = p[CHANGE_RATIO]
-        else:
+        elif p[CHANGE_WHICH] == 2.0:
             gain *= p[CHANGE_RATIO]
     return gain, tau, grip
 
