@@ -98,8 +98,8 @@ def clarity(logs: list[Any]) -> float:
 
     from fiohost.discover.floor import replica_floor
     from fiohost.discover.metrics import judge
-    from fiohost.identify.fit import fit_from_scratch
-    from fiohost.identify.record import record_from_log
+    from fiohost.estimation.fit import fit_from_scratch
+    from fiohost.estimation.record import record_from_log
     from fiohost.motor.model import Model
 
     rng = np.random.default_rng(0)
@@ -124,7 +124,7 @@ def run_task(task: Task) -> Row:
     """Draw until the size is that of the task, then diagnose. A row with ``drawn`` false where no draw was."""
     from fiohost.circle.evidence import diagnose
     from fiohost.discover.metrics import pool
-    from fiohost.identify.intervals import estimates
+    from fiohost.estimation.intervals import estimates
     from fiohost.motor.effect import effects
 
     for attempt in range(SHORT_TRIES if task.short else TRIES):

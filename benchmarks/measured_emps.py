@@ -20,8 +20,8 @@ from fiohost.circle.evidence import diagnose, read_logs
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
-from fiohost.identify.fit import Fit, fit, fit_from_scratch
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.fit import Fit, fit, fit_from_scratch
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 from fiohost.report import words
 from fiohost.report.diagnosis import series_of

@@ -17,9 +17,9 @@ from fiohost.circle.evidence import diagnose, read_logs
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.metrics import Errors, judge
 from fiohost.discover.result import to_json
-from fiohost.identify.fit import fit, fit_from_scratch
-from fiohost.identify.intervals import estimates
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 from fiohost.report.diagnosis import series_of
 from fiohost.report.plots import plot_curve, plot_residual_bars, plot_series

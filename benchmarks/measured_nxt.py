@@ -18,8 +18,8 @@ from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.metrics import Judgement, judge
 from fiohost.discover.result import to_json
 from fiohost.discover.workers import each
-from fiohost.identify.fit import fit, fit_from_scratch
-from fiohost.identify.record import Record, make_record
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.report import words
 from fiohost.report.diagnosis import series_of

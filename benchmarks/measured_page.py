@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from fiohost.identify.intervals import Estimate
+from fiohost.estimation.intervals import Estimate
 from fiohost.report import words
 from fiohost.report.plots import as_png
 from fiohost.report.series import SeriesPlot

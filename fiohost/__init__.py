@@ -16,7 +16,7 @@ _WHERE = {
     "Bench": "fiohost.bench.loop",
     "Log": "fiohost.bench.log",
     "Model": "fiohost.motor.model",
-    "identify": "fiohost.identify.logs",
+    "identify": "fiohost.estimation.logs",
     "diagnose": "fiohost.circle.evidence",
     "design": "fiohost.control.design",
 }

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fiohost.identify.record import Record, make_record
+from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, free_run
 

@@ -22,7 +22,7 @@ from short_runs import closed_loop, logs_of, multisine, plant_file, pulses, stai
 import fiohost
 import firmware_model
 from fiohost.bench.log import Log
-from fiohost.identify.record import record_from_log
+from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
 
@@ -153,7 +153,7 @@ def reduced(physical: dict[str, Any], plant: Path) -> dict[str, float | str]:
 
 # ---- separate code -------------------------------------------------------------------------------------------------
 
-FIT_ROOMS = ("motor", "identify", "discover", "circle")
+FIT_ROOMS = ("motor", "estimation", "discover", "circle")
 
 
 def modules(package: Path) -> Iterator[tuple[str, ast.Module]]:
@@ -226,7 +226,7 @@ def test_a_fit_has_loaded_nothing_of_the_board() -> None:
     fitting = (
         "import sys; sys.path.insert(0, 'tests')\n"
         "from bench_data import suite, truth_model\n"
-        "from fiohost.identify.fit import fit_from_scratch\n"
+        "from fiohost.estimation.fit import fit_from_scratch\n"
         "fit_from_scratch(truth_model(), suite(truth_model(), 1, 2.0))\n"
     )
     loaded = loaded_after(IMPORT_ALL + rooms + fitting)

@@ -13,7 +13,7 @@ from fiohost.discover.floor import repeats
 from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
 from fiohost.errors import DataError
-from fiohost.identify.fit import fit_from_scratch
+from fiohost.estimation.fit import fit_from_scratch
 from fiohost.motor.model import Model
 
 DECLARED = Model.parse("linear+coulomb_friction")

@@ -22,8 +22,8 @@ from fiohost.discover.metrics import judge
 from fiohost.discover.search import Search
 from fiohost.discover.stage import Stage
 from fiohost.errors import FiohostError
-from fiohost.identify.fit import fit, fit_from_scratch
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.effect import Value, effect, effects
 from fiohost.motor.model import Model
 from fiohost.settings import find_config

@@ -18,7 +18,7 @@ from fiohost.bench.signals import Square, Staircase
 from fiohost.cli.main import cli
 from fiohost.control.closed_loop import Loop, Plant, run_loop
 from fiohost.errors import ConfigError, DataError
-from fiohost.identify.second_order import closed_loop, from_overshoot, open_loop, overshoot_pct
+from fiohost.estimation.second_order import closed_loop, from_overshoot, open_loop, overshoot_pct
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, free_run
 

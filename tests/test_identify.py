@@ -8,10 +8,10 @@ from bench_data import TICK_S, measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.metrics import judge
 from fiohost.errors import DataError
-from fiohost.identify.fit import fit, fit_from_scratch
-from fiohost.identify.intervals import estimates
-from fiohost.identify.predict import Flat, free_output, free_states, initial_state, window_residuals
-from fiohost.identify.record import MEAN_SPEED, SPEED, cut_windows, make_record
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.predict import Flat, free_output, free_states, initial_state, window_residuals
+from fiohost.estimation.record import MEAN_SPEED, SPEED, cut_windows, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 

@@ -177,7 +177,7 @@ def file_of(module: str) -> Path | None:
     return next((p for p in (place.with_suffix(".py"), place / "__init__.py") if p.is_file()), None)
 
 
-@pytest.mark.parametrize("room", ["discover", "identify", "motor"])
+@pytest.mark.parametrize("room", ["discover", "estimation", "motor"])
 def test_what_judges_a_log_can_never_import_the_instruments(room: str) -> None:
     """Not by itself and not by anything that it imports, at whatever moment."""
     waiting = sorted((PACKAGE / room).rglob("*.py"))

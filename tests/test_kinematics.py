@@ -15,7 +15,7 @@ from short_runs import multisine as tones
 from fiohost.discover.finding import Finding
 from fiohost.discover.kinematics import check
 from fiohost.discover.said import Said, said_by
-from fiohost.identify.record import MEAN_SPEED, Record, make_record, record_from_log
+from fiohost.estimation.record import MEAN_SPEED, Record, make_record, record_from_log
 
 
 def found_in(*records: Record, said: Said | None = None) -> list[Finding]:

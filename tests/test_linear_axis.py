@@ -15,7 +15,7 @@ from fiohost.circle.replay import replay
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.errors import ModelError
-from fiohost.identify.record import record_from_log
+from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 
 QUANTUM_M = 0.5e-3

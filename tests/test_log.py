@@ -127,7 +127,7 @@ def test_bytes_that_are_no_text_and_files_that_are_not_there_are_refused(tmp_pat
 
 
 def test_missing_metadata_extra_columns_and_windows_line_ends_are_accepted() -> None:
-    log = Log.parse("time_s,note,duty_pct,speed_deg_s\r\n0,hello,10,1\r\n0.02,\"x\",10,2\r\n0.04,,10,3\r\n")
+    log = Log.parse('time_s,note,duty_pct,speed_deg_s\r\n0,hello,10,1\r\n0.02,"x",10,2\r\n0.04,,10,3\r\n')
     np.testing.assert_array_equal(log.output, [1.0, 2.0, 3.0])
     assert (log.output_name, log.output_unit, log.output_quantum) == ("speed_deg_s", "deg/s", 0.0)
     assert log.sample_time_s == pytest.approx(0.02)

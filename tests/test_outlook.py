@@ -33,9 +33,9 @@ from fiohost.discover.outlook import look_ahead
 from fiohost.discover.result import to_json
 from fiohost.discover.stage import judged
 from fiohost.errors import DataError
-from fiohost.identify.fit import fit, fit_from_scratch
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 from fiohost.report.circle import follow_up_sentence
 from fiohost.report.page import render

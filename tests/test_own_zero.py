@@ -15,7 +15,7 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.replay import replay
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
-from fiohost.identify.record import record_from_log
+from fiohost.estimation.record import record_from_log
 
 ANGLE_BOUND = ("gravity_load", "cogging_torque", "position_dependent_friction", "encoder_eccentricity")
 OTHERS = ("constant_load", "backlash", "transport_delay")

@@ -17,7 +17,7 @@ from fiohost.discover.asked import Question, shifted
 from fiohost.discover.result import to_json
 from fiohost.discover.said import Said
 from fiohost.discover.semantics import ask
-from fiohost.identify.record import BRAKE, Record
+from fiohost.estimation.record import BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
 from fiohost.motor.state import STANDBY

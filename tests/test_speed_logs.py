@@ -9,8 +9,8 @@ from bench_data import measure, multisine, truth_model
 from fiohost.discover.evidence import dependences
 from fiohost.discover.floor import replica
 from fiohost.discover.metrics import judge
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import MEAN_SPEED, Record, make_record
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import MEAN_SPEED, Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 

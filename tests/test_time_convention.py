@@ -11,8 +11,8 @@ from short_runs import logs_of
 
 from fiohost.bench.log import Log
 from fiohost.circle.evidence import diagnose
-from fiohost.identify.fit import fit
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.fit import fit
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 
 DECLARED = "linear+coulomb_friction"

@@ -18,7 +18,7 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.plan import fresh, log_names, suite
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
-from fiohost.identify.record import record_from_log
+from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 
 DECLARED = "linear+coulomb_friction"

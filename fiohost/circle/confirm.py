@@ -10,7 +10,7 @@ import numpy as np
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Judgement, judge
 from fiohost.discover.stage import Stage
-from fiohost.identify.record import Record
+from fiohost.estimation.record import Record
 
 DRAWS = 2000
 

@@ -14,8 +14,8 @@ from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import pool
 from fiohost.discover.search import Search
 from fiohost.errors import DataError
-from fiohost.identify.fit import fit_from_scratch
-from fiohost.identify.record import record_from_log, with_bench_zero
+from fiohost.estimation.fit import fit_from_scratch
+from fiohost.estimation.record import record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 

@@ -11,7 +11,7 @@ from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.outlook import look_ahead
 from fiohost.discover.said import said_by
 from fiohost.errors import DataError
-from fiohost.identify.record import Record, record_from_log
+from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 
 Source = str | Path | Log

@@ -12,7 +12,7 @@ from fiohost.bench.log import Log
 from fiohost.discover.metrics import Errors, judge
 from fiohost.discover.units import LOG_UNIT, STARTS, metres
 from fiohost.errors import LogError
-from fiohost.identify.record import record_from_log
+from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
 

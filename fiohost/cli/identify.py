@@ -12,7 +12,7 @@ from fiohost.cli.options import parse_number
 from fiohost.cli.output import Output, check_not_input, check_writable, json_option, output_for
 
 if TYPE_CHECKING:
-    from fiohost.identify.logs import Identification
+    from fiohost.estimation.logs import Identification
 
 NAMES = {
     "gain_deg_s_per_pct": "K",
@@ -65,7 +65,7 @@ def identify(
     gain = None if kp is None else parse_number("--kp", kp, 1e-6, 1e6, "percent per degree")
 
     from fiohost.circle.evidence import read_logs
-    from fiohost.identify.logs import identify as run
+    from fiohost.estimation.logs import identify as run
 
     found = run(read_logs(logs, table_map), method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)

@@ -14,10 +14,10 @@ import numpy as np
 from fiohost.discover.floor import repeats
 from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit, first_guess, fit, unchanged
-from fiohost.identify.intervals import covariance, estimates
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import Record, make_record
+from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
+from fiohost.estimation.intervals import covariance, estimates
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record, make_record
 from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 
 # A second difference of readings that are each wrong by less than a count is wrong by less than two.
 COUNTS_OF_DOUBT = 2.0

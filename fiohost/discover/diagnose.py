@@ -23,8 +23,8 @@ from fiohost.discover.search import Found, Search, Step, select
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
-from fiohost.identify.intervals import Estimate, estimates
-from fiohost.identify.record import Record, with_bench_zero
+from fiohost.estimation.intervals import Estimate, estimates
+from fiohost.estimation.record import Record, with_bench_zero
 from fiohost.motor.model import Model
 
 # Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.

@@ -21,8 +21,8 @@ from fiohost.discover.evidence import bench_angle
 from fiohost.discover.metrics import Judgement, pool
 from fiohost.discover.stage import Stage
 from fiohost.discover.windowed import Windowed
-from fiohost.identify.fit import fit
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.fit import fit
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
 
 BINS = 16

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.discover.metrics import Judgement
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.compiled import compiled
 from fiohost.motor.model import Model
 

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from fiohost.discover.counts import quantum_of
 from fiohost.discover.said import Said
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 
 # A shaft stands where its reading stays for so long, and has moved where it left by more counts than one flicker.
 STANDS_S, STANDS_SAMPLES = 0.1, 5

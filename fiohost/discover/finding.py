@@ -8,7 +8,7 @@ import numpy as np
 
 from fiohost.discover.counts import COUNT_NOISE, Counts
 from fiohost.discover.said import Said
-from fiohost.identify.record import Record
+from fiohost.estimation.record import Record
 
 TIMES_SHOWN = 5
 

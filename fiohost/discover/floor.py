@@ -11,9 +11,9 @@ import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import ANGLE, MEAN_SPEED, Record
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

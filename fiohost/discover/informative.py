@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 from fiohost.discover.exercised import Exercised, exercise
 from fiohost.discover.said import Said
-from fiohost.identify.record import Record
+from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
 
 # What it takes to show an effect: few events may be chance, and a slow effect needs its time.

@@ -24,7 +24,7 @@ from fiohost.discover.finding import Case, Finding, Skipped
 from fiohost.discover.order_locked import SPEED_RATIO, Ripple, ripples
 from fiohost.discover.said import Said
 from fiohost.discover.timing import irregular_stamps, missing_ticks, sampling_jitter
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 
 TURN_DEG = 360.0
 REGISTERS = (256.0, 65536.0)

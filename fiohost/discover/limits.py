@@ -17,9 +17,9 @@ from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.stage import Stage
 from fiohost.discover.windowed import Windowed
 from fiohost.discover.workers import each
-from fiohost.identify.fit import fit
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.fit import fit
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
 

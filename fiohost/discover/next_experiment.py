@@ -20,9 +20,9 @@ from fiohost.discover.metrics import judge, pool
 from fiohost.discover.search import Step
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit, fit
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import ANGLE, Record, make_record
+from fiohost.estimation.fit import Fit, fit
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import ANGLE, Record, make_record
 from fiohost.motor.effect import Value, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -10,7 +10,7 @@ from fiohost.discover.informative import Informative, inform
 from fiohost.discover.kinematics import check
 from fiohost.discover.said import Said
 from fiohost.discover.semantics import Semantics, ask
-from fiohost.identify.record import Record
+from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
 
 

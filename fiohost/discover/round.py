@@ -15,8 +15,8 @@ from fiohost.discover.floor import replica
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit
-from fiohost.identify.record import Record
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.record import Record
 from fiohost.motor.effect import effect
 
 # Effects are refitted while their score is this share of the best one's, at least and at most so many of them;

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.identify.fit import Fit
-from fiohost.identify.predict import Flat, free_output
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 

@@ -14,8 +14,8 @@ from fiohost.discover.choose import folds, indistinguishable, objection, searche
 from fiohost.discover.evidence import dependences
 from fiohost.discover.round import LEAST_CV_GAIN, LEAST_OF_REST, Candidate, Context, Outcome, Progress, run_round
 from fiohost.discover.stage import Stage, judged
-from fiohost.identify.fit import Fit, fit, fit_from_scratch
-from fiohost.identify.record import Record
+from fiohost.estimation.fit import Fit, fit, fit_from_scratch
+from fiohost.estimation.record import Record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 

@@ -26,8 +26,8 @@ from fiohost.discover.asked import (
 from fiohost.discover.said import Said
 from fiohost.discover.workers import each
 from fiohost.errors import FiohostError
-from fiohost.identify.fit import Fit, best_of, first_guess
-from fiohost.identify.record import ANGLE, BRAKE, Record
+from fiohost.estimation.fit import Fit, best_of, first_guess
+from fiohost.estimation.record import ANGLE, BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.state import STANDBY
 

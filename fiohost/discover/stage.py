@@ -11,8 +11,8 @@ from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, repli
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit
 from fiohost.discover.workers import each
-from fiohost.identify.fit import Fit
-from fiohost.identify.record import Record
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fiohost.identify.record import HELD_IN
+from fiohost.estimation.record import HELD_IN
 from fiohost.motor.effect import effect
 from fiohost.motor.model import MM_PER_M
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 
 
 class Windowed:

@@ -22,7 +22,7 @@ from fiohost.control.closed_loop import LoopRun, Plant, run_loop
 from fiohost.control.design import Design, design, with_deadband
 from fiohost.control.settings import ControlSettings
 from fiohost.control.specification import Specification, StepOutcome, judge
-from fiohost.identify.logs import identify
+from fiohost.estimation.logs import identify
 from fiohost.labs.identification import KP, explained, measured_profile, run_and_fit
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 from fiohost.motor.model import Model

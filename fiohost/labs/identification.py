@@ -25,12 +25,12 @@ from fiohost.control.closed_loop import Plant, run_loop
 from fiohost.control.jitter import REST, find_jitter
 from fiohost.control.settings import ControlSettings
 from fiohost.errors import DataError
-from fiohost.identify.fit import Fit, fit_from_scratch
-from fiohost.identify.intervals import estimates
-from fiohost.identify.logs import GAIN, METHODS, OMEGA, TAU, ZETA, Curve, Identification, identify
-from fiohost.identify.record import record_from_log
-from fiohost.identify.second_order import closed_loop
-from fiohost.identify.step_response import steps_of
+from fiohost.estimation.fit import Fit, fit_from_scratch
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.logs import GAIN, METHODS, OMEGA, TAU, ZETA, Curve, Identification, identify
+from fiohost.estimation.record import record_from_log
+from fiohost.estimation.second_order import closed_loop
+from fiohost.estimation.step_response import steps_of
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fiohost.errors import FiohostError
-from fiohost.identify.logs import Curve as LogCurve
+from fiohost.estimation.logs import Curve as LogCurve
 from fiohost.report.panels import Curve, Panel, plot_panels
 
 SHOWN = 0.4  # of the time from one step to the next

@@ -18,7 +18,7 @@ from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import Evidence, TableFit
 from fiohost.discover.tables.search import Search, TableSearch, TableStage, parameter_count, select
 from fiohost.errors import DataError
-from fiohost.identify.intervals import Estimate
+from fiohost.estimation.intervals import Estimate
 from fiohost.motor.model import Model
 
 STANDS_OUT = 2.0  # floors: a figure this far off on the whole is part of what remains

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, minimize
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Constant, Figure, Row, Table
-from fiohost.identify.fit import Fit, project
+from fiohost.estimation.fit import Fit, project
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model, slot
 

@@ -38,7 +38,7 @@ from fiohost.discover.tables.fit import (
 from fiohost.discover.tables.starts import downhill, held
 from fiohost.discover.verdict import SIGMAS
 from fiohost.discover.workers import each
-from fiohost.identify.intervals import Estimate, estimates
+from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.motor.effect import Effect, effect, effects
 from fiohost.motor.model import Model
 

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fiohost.errors import DataError
-from fiohost.identify.intervals import sandwich
+from fiohost.estimation.intervals import sandwich
 
 STARTS = tuple((omega, zeta) for omega in (3.0, 10.0, 30.0) for zeta in (0.3, 0.8))
 OMEGA_RANGE, ZETA_RANGE = (0.05, 2000.0), (0.005, 20.0)

@@ -12,11 +12,11 @@ from scipy.special import stdtrit
 
 from fiohost.bench.log import Log
 from fiohost.errors import ConfigError, DataError
-from fiohost.identify.fit import fit_from_scratch
-from fiohost.identify.intervals import Estimate, covariance
-from fiohost.identify.record import record_from_log
-from fiohost.identify.second_order import LoopRecord, closed_loop, fit_second_order, open_loop, respond
-from fiohost.identify.step_response import LoopStep, steps_of
+from fiohost.estimation.fit import fit_from_scratch
+from fiohost.estimation.intervals import Estimate, covariance
+from fiohost.estimation.record import record_from_log
+from fiohost.estimation.second_order import LoopRecord, closed_loop, fit_second_order, open_loop, respond
+from fiohost.estimation.step_response import LoopStep, steps_of
 from fiohost.motor.model import Model
 from fiohost.settings import nearest
 

@@ -10,8 +10,8 @@ from math import gcd
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from fiohost.identify.record import ANGLE, Record
-from fiohost.identify.windows import fit_windows, read_output
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.windows import fit_windows, read_output
 from fiohost.motor.effect import effect, effects
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start, run, seen_angle, start_state

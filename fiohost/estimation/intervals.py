@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from fiohost.identify.fit import Fit
+from fiohost.estimation.fit import Fit
 from fiohost.motor.model import Model
 
 BLOCK_SAMPLES = 200

@@ -11,7 +11,7 @@ import numpy as np
 
 from fiohost.control.metrics import StepFigures, step_figures
 from fiohost.errors import DataError
-from fiohost.identify.second_order import from_overshoot
+from fiohost.estimation.second_order import from_overshoot
 
 SHORTEST = 20
 

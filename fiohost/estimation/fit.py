@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.identify.predict import (
+from fiohost.estimation.predict import (
     Flat,
     best_lash,
     find_zero,
@@ -23,7 +23,7 @@ from fiohost.identify.predict import (
     initial_state,
     window_residuals,
 )
-from fiohost.identify.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import GAIN
