@@ -21,8 +21,9 @@ from fiohost.motor.simulate import Start
 REPLICAS = 32
 # Drawn in addition where a figure stands just above the first: a tail is not known from so few.
 MORE_REPLICAS = 160
-# The shaft's angle within its count is known to this much at best; a free run this far beyond one count says nothing.
-LEAST_ROOM_COUNTS, LOST_COUNTS = 0.01, 0.5
+# The angle within its count is known to between so much and so much at best; a free run this far beyond one count
+# says nothing.
+LEAST_ROOM_COUNTS, LOST_COUNTS = (0.002, 0.05), 0.5
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,17 @@ def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
     against = len(above) - np.searchsorted(above, middles) + np.searchsorted(below, middles)
     best = int(np.argmin(against)) if len(middles) else 0
     middle = float(middles[best]) if len(middles) else float(edges[0])
-    room = max(0.5 * float(edges[best + 1] - edges[best]) if len(middles) else 0.0, LEAST_ROOM_COUNTS * count)
+    room = 0.5 * float(edges[best + 1] - edges[best]) if len(middles) else 0.0
     return middle - room, middle + room
+
+
+def _shift(record: Record, residual: np.ndarray | None, rng: np.random.Generator) -> float:
+    """Where within its count the shaft stood, one draw; how well a fitted model knows it is drawn too."""
+    if residual is None:
+        return float(rng.uniform(-0.5, 0.5)) * record.quantum
+    low, high = within_count(record, residual)
+    least = record.quantum * float(np.exp(rng.uniform(*np.log(LEAST_ROOM_COUNTS))))
+    return 0.5 * (low + high) + float(rng.uniform(-1.0, 1.0)) * max(0.5 * (high - low), least)
 
 
 def replica(
@@ -66,10 +76,7 @@ def replica(
     The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
     """
     flat = Flat.of(model)
-    shift = 0.0
-    if record.kind == ANGLE:
-        half = 0.5 * record.quantum
-        shift = rng.uniform(*(within_count(record, residual) if residual is not None else (-half, half)))
+    shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
     truth = free_output(record, flat, start._replace(angle=start.angle + shift))
     if record.kind == ANGLE:
         return quantise(record, truth + 0.5 * record.quantum)

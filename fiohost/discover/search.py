@@ -121,10 +121,15 @@ def _reproach(before: Stage, after: Stage) -> str | None:
     """
     if any(new > (1.0 + SHOWS) * old for new, old in zip(after.powers, before.powers, strict=True)):
         return "makes whole runs or one-second windows worse"
-    was, left = before.windows_above_floor, after.windows_above_floor
-    if after.at_floor or was <= SHOWS or left <= (1.0 - LEAST_OF_REST) * was:
+    if after.at_floor:
         return None
-    return "leaves what stands above the floor in one-second windows as it was"
+    (runs, windows), (runs_left, windows_left) = before.powers_above_floor, after.powers_above_floor
+    if before.windows_above_floor > SHOWS:
+        if windows_left > (1.0 - LEAST_OF_REST) * windows:
+            return "leaves what stands above the floor in one-second windows as it was"
+    elif runs_left > (1.0 - LEAST_OF_REST) * runs:
+        return "leaves what stands above the floor in whole runs as it was"
+    return None
 
 
 def _explained_share(before: Stage, after: Stage) -> float:
