@@ -8,6 +8,7 @@ import math
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -262,23 +263,33 @@ def running(*arguments: str, environment: dict[str, str] | None = None) -> Itera
 
 def drive_by_hand(run: Run, click: Callable[[float, float], None]) -> None:
     """Slider, brake, emergency stop and its release, by the mouse."""
+
+    def pressed(what: Callable[[], bool], *places: tuple[float, float]) -> None:
+        """Click until that comes of it: a window that is not drawn yet takes no mouse."""
+        again = 0.0
+
+        def asked() -> bool:
+            nonlocal again
+            if what():
+                return True
+            if time.monotonic() >= again:
+                for place in places:
+                    click(*place)
+                again = time.monotonic() + 10.0
+            return False
+
+        run.until(asked)
+
     run.until(run.braked)
-    click(slider_x(50.0), SLIDER_Y)
-    run.until(lambda: run.drives(50.0))
+    pressed(lambda: run.drives(50.0), (slider_x(50.0), SLIDER_Y))
     pos = run.last()[3]
     run.until(lambda: run.last()[3] != pos)
-    click(BRAKE_BUTTON_X, BUTTONS_Y)
-    run.until(run.braked)
-    click(slider_x(50.0), SLIDER_Y)  # to where the slider may not have left yet
-    run.until(lambda: run.drives(50.0))
-    click(slider_x(-80.0), SLIDER_Y)
-    run.until(lambda: run.drives(-80.0))
-    click(*STOP)
-    run.until(run.braked)
+    pressed(run.braked, (BRAKE_BUTTON_X, BUTTONS_Y))
+    pressed(lambda: run.drives(50.0), (slider_x(50.0), SLIDER_Y))  # to where the slider may not have left yet
+    pressed(lambda: run.drives(-80.0), (slider_x(-80.0), SLIDER_Y))
+    pressed(run.braked, STOP)
     click(slider_x(30.0), SLIDER_Y)  # not obeyed
-    click(RELEASE_BUTTON_X, BUTTONS_Y)
-    click(slider_x(-30.0), SLIDER_Y)
-    run.until(lambda: not run.braked())
+    pressed(lambda: not run.braked(), (RELEASE_BUTTON_X, BUTTONS_Y), (slider_x(-30.0), SLIDER_Y))
     assert run.drives(-30.0)
 
 
