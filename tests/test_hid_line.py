@@ -32,10 +32,12 @@ def _own_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(locks, "_folder", lambda: tmp_path)
 
 
-def line(module: FakeHidapi, which: str = "", *more: FakeHidapi, numbered: bool = False) -> HidTransport:
+def line(
+    module: FakeHidapi, which: str = "", *more: FakeHidapi, numbered: bool = False, stale_s: float = 0.0
+) -> HidTransport:
     names = ("hidraw", "libusb")
     backends = [Backend(name, m) for name, m in zip(names, (module, *more), strict=False)]
-    return HidTransport(which, 0x0483, 0x5750, numbered=numbered, backends=backends)
+    return HidTransport(which, 0x0483, 0x5750, numbered=numbered, backends=backends, stale_s=stale_s)
 
 
 # ---- reading and writing -------------------------------------------------------------------------------------------
@@ -75,6 +77,30 @@ def test_what_an_earlier_host_left_is_not_read() -> None:
         module.script.append(b"\x02" * 64)
         assert board.receive(0.05) == b"\x02" * 64
         assert board.passed_over == 0
+
+
+def test_a_report_that_waited_in_the_board_itself_is_not_read() -> None:
+    """The endpoint keeps what no host took; it comes a moment after the opening, when the queue has been emptied."""
+    module = FakeHidapi(info())
+    with line(module, stale_s=0.05) as board:
+        module.queue.append(b"\x01" * 64)
+        with pytest.raises(TelemetryTimeoutError):
+            board.receive(0.001)
+        module.script.append(b"\x02" * 64)
+        assert board.receive(1.0) == b"\x02" * 64
+        assert board.passed_over == 0
+
+
+def test_an_empty_packet_behind_each_report_hides_none() -> None:
+    """Over libusb it is an empty report; a host that stopped there would stay behind for ever."""
+    module = FakeHidapi(info())
+    with line(module) as board:
+        for k in range(5):
+            module.queue.extend([bytes([k]) * 64, b""])
+        assert board.receive(0.05) == b"\x04" * 64
+        assert board.passed_over == 4
+        module.script.extend([b"", b"\x05" * 64])
+        assert board.receive(0.05) == b"\x05" * 64
 
 
 def test_a_first_read_that_is_empty_before_its_time_is_read_again() -> None:

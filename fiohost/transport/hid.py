@@ -4,6 +4,11 @@ hidapi is used as it is, not as one would think: a write that fails gives -1 and
 when its time is over, blocks for ever on a time of 0, and raises an OSError without a number both for an unplugged
 board and for a signal that came meanwhile; opening fails alike for missing, busy and forbidden. Reports wait in a
 queue, so the newest is taken and the others are counted.
+
+Two things come from beyond hidapi. A board's endpoint keeps what it could not deliver while no host was there, so the
+first report after opening may be as old as the last host. And a report as long as the endpoint's packet may be followed
+by an empty packet, which ends the transfer (USB 2.0, 5.7.3; Linux' gadgets do so since 2025): over libusb that is an
+empty report, which looks like "nothing there" and stands between the reports that wait.
 """
 
 from __future__ import annotations
@@ -24,6 +29,8 @@ from fiohost.transport.lock import DeviceLock
 MAX_REPORT = 4096
 FULL_QUEUE = 30  # reports at once: the queue may have been full, and the newest of it is old
 MOST_DRAINED = 1000
+EMPTY_READS = 2  # in a row: nothing waits; a single one may be the empty packet behind a report
+STALE_S = 0.05  # after opening: what has come by then may be old (the kernel's driver waits as long for its hidraw)
 TRIES = 3  # of a call that a signal may have cut short
 VENDOR_PAGES = 0xFF00
 
@@ -33,7 +40,8 @@ Info = dict[str, Any]
 class HidTransport(Transport):
     """One HID device. *which* is a serial number, a path as ``fiohost devices`` shows it, ``VID:PID[:SERIAL]``, or "".
 
-    *numbered*: reports begin with a report ID in both directions.
+    *numbered*: reports begin with a report ID in both directions. What comes within *stale_s* of opening is not read;
+    the line can be written to at once.
     """
 
     can_reopen = True
@@ -46,12 +54,15 @@ class HidTransport(Transport):
         *,
         numbered: bool = False,
         backends: Sequence[Backend] | None = None,
+        stale_s: float = STALE_S,
     ) -> None:
         self.name = f"hid:{which}" if which else "hid"
         self.facts = {}
         self._which, self._vendor_id, self._product_id = which, vendor_id, product_id
         self._prefix = b"" if numbered else b"\0"
         self._given = backends
+        self._stale_s = stale_s
+        self._fresh_from_s = 0.0  # on the monotonic clock; 0: all is fresh
         self._device: Any = None
         self._backend: Backend | None = None
         self._lock: DeviceLock | None = None
@@ -130,6 +141,7 @@ class HidTransport(Transport):
         self.identity = _handle(info)
         self.facts = {"hid_backend": f"{backend.name} {backend.version}"}
         self._drain()  # what an earlier host left there
+        self._fresh_from_s = time.monotonic() + self._stale_s if self._stale_s else 0.0
         return None
 
     def close(self) -> None:
@@ -161,13 +173,15 @@ class HidTransport(Transport):
 
     def receive(self, timeout_s: float) -> bytes:
         deadline_s = time.monotonic() + timeout_s
+        if self._fresh_from_s and not self._passes_stale(deadline_s):
+            raise self._silence(timeout_s)
         while True:
             left_s = deadline_s - time.monotonic()
             first = self._read(max(1, math.ceil(1e3 * left_s))) if left_s > 0.0 else self._read()
             if first:
                 break
             if left_s <= 0.0:
-                raise TelemetryTimeoutError(f"nothing came from {self.name} for {1e3 * timeout_s:.0f} ms")
+                raise self._silence(timeout_s)
         newest, others = self._drain(first)
         if others >= FULL_QUEUE:  # a full queue loses the newest: what is in it is old, what comes next is not
             left_s = deadline_s - time.monotonic()
@@ -178,12 +192,24 @@ class HidTransport(Transport):
         self.passed_over += others
         return newest
 
+    def _passes_stale(self, deadline_s: float) -> bool:
+        """Wait for what the board kept from before, and throw it away; False where *deadline_s* comes first."""
+        time.sleep(max(0.0, min(self._fresh_from_s, deadline_s) - time.monotonic()))
+        if deadline_s < self._fresh_from_s:
+            return False
+        self._drain()
+        self._fresh_from_s = 0.0
+        return True
+
     def _drain(self, newest: bytes = b"") -> tuple[bytes, int]:
         """The newest report that waits, and how many older ones (*newest*, which had come, among them)."""
-        others = 0
-        while others < MOST_DRAINED and (report := self._read()):
-            others += 1
-            newest = report
+        others = empty = 0
+        while others < MOST_DRAINED and empty < EMPTY_READS:
+            report = self._read()
+            if report:
+                newest, others, empty = report, others + 1, 0
+            else:
+                empty += 1
         return newest, others
 
     def _read(self, timeout_ms: int = 0) -> bytes:
@@ -196,6 +222,9 @@ class HidTransport(Transport):
                 if not left or isinstance(exc, ValueError):
                     raise self._gone(exc) from exc
         raise AssertionError
+
+    def _silence(self, timeout_s: float) -> TelemetryTimeoutError:
+        return TelemetryTimeoutError(f"nothing came from {self.name} for {1e3 * timeout_s:.0f} ms")
 
     def _taken(self) -> Any:
         if self._device is None:
