@@ -85,11 +85,14 @@ class Link:
         *passed_over*: reports that the transport has left out before it. Raises ReportError for a report that cannot
         be one, and for one that is not new.
         """
-        if self._parser is not None:
-            return self._of_stream(self._parser, data)
+        parser = self._parser
+        if parser is not None and (parser.holds or len(data) != parser.length):
+            return self._of_stream(parser, data)
         try:
             reading = self.codec.decode(data)
         except ReportError as exc:
+            if parser is not None:  # a report may begin within
+                return self._of_stream(parser, data)
             self.counts.refused[exc.reason] += 1
             raise
         self.steps = self._follow(reading, passed_over) if self.numbered else 1 + passed_over

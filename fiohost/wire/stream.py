@@ -27,7 +27,7 @@ class StreamParser(Generic[Message]):
     """
 
     def __init__(self, layout: Layout, read: Callable[[bytes], Message]) -> None:
-        self._length = layout.length
+        self.length = layout.length
         self._start = (b"" if layout.report_id is None else bytes([layout.report_id])) + layout.header
         self._read = read
         self._held = bytearray()
@@ -35,6 +35,11 @@ class StreamParser(Generic[Message]):
         self.garbage_bytes = 0
         self.refused: Counter[str] = Counter()
         self.problem: ReportError | None = None  # the last one
+
+    @property
+    def holds(self) -> bool:
+        """Whether the beginning of a report waits for the rest of it."""
+        return bool(self._held)
 
     def feed(self, data: bytes) -> list[Message]:
         """Messages that are whole with *data*, in their order."""
@@ -45,7 +50,7 @@ class StreamParser(Generic[Message]):
         return found
 
     def _parse(self, found: list[Message]) -> None:
-        held, length, start = self._held, self._length, self._start
+        held, length, start = self._held, self.length, self._start
         at = 0
         while len(held) - at >= length:
             begins = held.find(start, at) if start else at
