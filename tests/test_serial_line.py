@@ -8,6 +8,7 @@ import signal
 import termios
 import threading
 import time
+import tty
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +31,7 @@ from fiohost.transport.serial import SerialTransport
 def _patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that has much to do holds up the board's thread too; only silence itself is tried as it is."""
     if "silence" not in request.node.name:
-        monkeypatch.setattr("fiohost.bench.loop.TELEMETRY_TIMEOUT_S", 0.5)
+        monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 0.5)
 
 
 def test_a_run_over_a_pty_begins_and_ends_braked_and_is_logged(tmp_path: Path) -> None:
@@ -79,6 +80,32 @@ def test_garbage_and_halves_of_packets_cost_no_more_than_themselves() -> None:
     steps = np.diff(log.output)
     assert set(np.unique(steps[5:] % 2.5)) == {0.0}  # no count that the board did not send
     assert log.metadata["ending"] == "complete"
+
+
+@pytest.mark.parametrize("as_file", [True, False])
+def test_a_port_gives_all_that_came_and_says_when_it_takes_nothing_or_hangs_up(
+    as_file: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through its descriptor, and through pyserial's own calls where a port is no file."""
+    monkeypatch.setattr(serial_line, "AS_FILE", as_file)
+    board, host = os.openpty()
+    tty.setraw(host)
+    with SerialTransport(os.ttyname(host)) as port:
+        for size in (1, 700, 4095):
+            os.write(board, bytes(size))
+            assert port.receive(1.0) == bytes(size)
+        with pytest.raises(TelemetryTimeoutError, match="nothing came"):
+            port.receive(0.01)
+        port.send(b"\x7e\x7e")
+        assert os.read(board, 100) == b"\x7e\x7e"
+        with pytest.raises(TransportError, match="takes no bytes"):  # the pty holds some 20 kB
+            port.send(bytes(1_000_000))
+        os.close(host)
+        os.close(board)
+        with pytest.raises(DisconnectedError, match="unplugged"):
+            port.receive(1.0)
+        with pytest.raises(DisconnectedError, match="unplugged"):
+            port.send(b"\x7e\x7e")
 
 
 def test_a_hang_up_in_mid_packet_is_a_board_that_went_away(tmp_path: Path) -> None:

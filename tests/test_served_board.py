@@ -24,13 +24,13 @@ from firmware_model.serve import serve
 ROOT = Path(__file__).parent.parent
 # a busy machine holds up the board's process too
 PATIENT_HOST = (
-    "from fiohost.bench import loop; loop.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
+    "from fiohost.bench import line; line.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
 )
 
 
 @pytest.fixture(autouse=True)
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fiohost.bench.loop.TELEMETRY_TIMEOUT_S", 2.0)
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 2.0)
 
 
 @contextmanager

@@ -22,8 +22,9 @@ class TickStatistics:
         self._limit_s = 0.5 * sample_time_s
 
     def count(self, late_s: float) -> None:
+        """One tick; below 0 is early, and not late."""
         self.ticks += 1
-        if late_s:
+        if late_s > 0.0:
             self._sum_s += late_s
             if late_s > self.worst_s:
                 self.worst_s = late_s

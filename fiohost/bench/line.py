@@ -1,0 +1,136 @@
+"""The line as the bench has it, tick by tick: a command out, the newest reading in, and the board's steps counted.
+
+A tick without telemetry, or with a report that cannot be one, is counted and passed over; TELEMETRY_TIMEOUT_S of them
+in a row are an error. A lock-step board is paced by the clock, any other keeps its own time.
+"""
+
+from __future__ import annotations
+
+from fiohost.bench.clock import Clock
+from fiohost.bench.statistics import TickStatistics
+from fiohost.errors import ReportError, TelemetryTimeoutError, TransportError
+from fiohost.transport.base import Transport
+from fiohost.transport.profile import TargetProfile
+from fiohost.wire.link import Link
+from fiohost.wire.messages import Command, Telemetry
+
+TELEMETRY_TIMEOUT_S = 0.05
+SILENCE = f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
+GAP_S = 0.1  # after so long without a reading, queues may have lost reports: the clock counts too
+SLEPT_S = 1.0  # the host slept: it does not hurry through the ticks of that time
+
+
+class Line:
+    """One open transport. ``steps`` are those of the board's task, as far as they are known; ``read_s`` is when the
+    last reading came; ``statistics`` are of the ticks since :meth:`count_anew`.
+    """
+
+    def __init__(self, transport: Transport, profile: TargetProfile, clock: Clock) -> None:
+        self.transport = transport
+        self.profile = profile
+        self.clock = clock
+        self.link = Link(profile.codec, stream=transport.stream)
+        self.steps = 0
+        self.read_s = self._due_s = clock.now_s()
+        self._steps_read = 0  # the steps at the last reading
+        self._lost_in_a_row = 0
+        self.count_anew()
+
+    def send(self, command: Command) -> None:
+        """Raises TransportError, DisconnectedError."""
+        self.transport.send(self.link.encode(command))
+
+    def count_anew(self) -> None:
+        """Statistics of what follows."""
+        self.statistics = TickStatistics(self.profile.sample_time_s, real=self.clock.real)
+        self.link.counts = self.statistics.link
+
+    def begin(self) -> None:
+        """Nobody listened for a while: that is neither loss nor lateness."""
+        if self.transport.lock_step and self.clock.real:
+            self._due_s = self.clock.now_s()
+        self.link.begin()
+
+    def tick(self) -> Telemetry | None:
+        """Telemetry of this tick, or None where nothing came that could be one. Raises ReportError or
+        TelemetryTimeoutError after TELEMETRY_TIMEOUT_S of nothing, DisconnectedError.
+        """
+        lock_step = self.transport.lock_step
+        late_s = self._wait() if lock_step else 0.0
+        before_s = self.clock.now_s()
+        statistics = self.statistics
+        try:
+            reading = self._newest(before_s)
+        except TelemetryTimeoutError as exc:
+            if not lock_step:
+                raise TelemetryTimeoutError(f"{SILENCE} ({exc})") from exc
+            statistics.silent += 1
+            problem: TransportError = exc
+        except ReportError as exc:
+            statistics.refused += 1
+            problem = exc
+        else:
+            statistics.count(late_s if lock_step else self.read_s - before_s - self.profile.sample_time_s)
+            self._lost_in_a_row = 0
+            return reading
+        statistics.count(late_s if lock_step else self.clock.now_s() - before_s - self.profile.sample_time_s)
+        self._lost_in_a_row += 1
+        if self._lost_in_a_row * self.profile.sample_time_s >= TELEMETRY_TIMEOUT_S:
+            self._lost_in_a_row = 0
+            if isinstance(problem, ReportError):
+                raise problem
+            raise TelemetryTimeoutError(SILENCE) from problem
+        return None
+
+    def newest(self) -> Telemetry:
+        """The newest reading, waited for as long as TELEMETRY_TIMEOUT_S, of whatever tick.
+
+        Raises TelemetryTimeoutError, ReportError, DisconnectedError.
+        """
+        return self._newest(self.clock.now_s())
+
+    def _wait(self) -> float:
+        """Wait until this tick is due; how late it is (s)."""
+        late_s = self.clock.wait_until(self._due_s)
+        self._due_s += self.profile.sample_time_s
+        if late_s > SLEPT_S:
+            self._due_s = self.clock.now_s() + self.profile.sample_time_s
+        return late_s
+
+    def _newest(self, now_s: float) -> Telemetry:
+        transport, link = self.transport, self.link
+        deadline_s, left_s = now_s + TELEMETRY_TIMEOUT_S, TELEMETRY_TIMEOUT_S
+        unseen, unread = transport.passed_over, link.passed_over
+        self.steps += 1  # holds where nothing comes that tells more
+        problem: ReportError | None = None
+        try:
+            while True:
+                before = transport.passed_over
+                data = transport.receive(left_s)
+                try:
+                    reading = link.receive(data, transport.passed_over - before)
+                except ReportError as exc:
+                    if not transport.stream:
+                        raise
+                    reading, problem = None, exc
+                if reading is not None:
+                    break
+                left_s = deadline_s - self.clock.now_s()
+                if left_s <= 0.0:  # a stream of garbage never ends by itself
+                    raise TelemetryTimeoutError(f"no good report for {1e3 * TELEMETRY_TIMEOUT_S:g} ms") from problem
+        finally:
+            self.statistics.passed_over += transport.passed_over - unseen + link.passed_over - unread
+        self._count_steps()
+        return reading
+
+    def _count_steps(self) -> None:
+        """The board's step of the reading that has just come."""
+        link, now_s = self.link, self.clock.now_s()
+        if link.numbered:
+            self.steps = self._steps_read + link.steps
+        elif not self.transport.lock_step:
+            self.steps += link.steps - 1
+            since_s = now_s - self.read_s
+            if since_s > GAP_S:
+                self.steps = max(self.steps, self._steps_read + round(since_s / self.profile.sample_time_s))
+        self._steps_read, self.read_s = self.steps, now_s
