@@ -9,13 +9,14 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from boards import rows_of
 
 from fiohost.bench.connect import connect
-from fiohost.transport.serial import SerialTransport
+from fiohost.bench.log import Log
 from firmware_model import FirmwareModelError, gadget
 from firmware_model.__main__ import main
 from firmware_model.lines.node import NodeLine, PtyLine
@@ -46,39 +47,52 @@ def served(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
         board.communicate(timeout=60)
 
 
-def turned(port: SerialTransport, seconds: float) -> int:
-    """Counts between the first and the last packet of some seconds of listening, the short way round."""
-    data, end = b"", time.monotonic() + seconds
-    while time.monotonic() < end:
-        data += port.receive(5.0)
-    first, last = data.index(b"\x7e\x7e"), data.rindex(b"\x7e\x7e", 0, len(data) - 6)
-    difference = int.from_bytes(data[last + 3 : last + 5], "little") - int.from_bytes(
-        data[first + 3 : first + 5], "little"
-    )
-    return abs((difference + 360) % 720 - 360)
+def counts_since(link: Path, seconds: float) -> list[int]:
+    """Counts of each step since the last report that a host has read, and for some *seconds* from now."""
+    node = os.open(link, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    time.sleep(seconds)
+    data = os.read(node, 1 << 16)
+    os.close(node)
+    first = data.index(b"\x7e\x7e")
+    pos = [int.from_bytes(data[at + 3 : at + 5], "little") for at in range(first, len(data) - 6, 7)]
+    return [(after - before + 360) % 720 - 360 for before, after in pairwise(pos)]
 
 
-def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_stops_it(tmp_path: Path) -> None:
-    for options, runs_on in (((), True), (("--watchdog", "0.1"), False)):
-        link, log = tmp_path / f"board{runs_on}", tmp_path / f"{runs_on}.csv"
-        with served(link, *options) as board:
-            arguments = ["manual", "--pwm", "10", "--log", str(log), "--target", f"serial:{link}"]
-            host = subprocess.Popen(
-                [sys.executable, "-c", PATIENT_HOST, *arguments], stdout=subprocess.DEVNULL, cwd=ROOT
-            )
-            deadline = time.monotonic() + 60
-            while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 40):
-                time.sleep(0.02)
-            host.kill()
-            host.wait()
-            assert len(rows_of(log)) >= 40
-            time.sleep(1.0)
-            with SerialTransport(str(link)) as port:
-                counts = turned(port, 0.3)
-            assert (counts > 10) == runs_on
-            with connect(f"serial:{link}") as bench:  # the next host brakes it first of all
-                bench.settle()
-            assert board.poll() is None
+@pytest.mark.parametrize("watchdog", [False, True])
+def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
+    watchdog: bool, tmp_path: Path
+) -> None:
+    link, log, trace = tmp_path / "board", tmp_path / "run.csv", tmp_path / "trace"
+    profile = tmp_path / "guarded.toml"
+    profile.write_text("watchdog_s = 0.1\n" + (ROOT / "configs/targets/serial-documented.toml").read_text())
+    target = f"{profile if watchdog else 'serial'}:{link}"
+    with served(link, *(["--watchdog", "0.1"] if watchdog else [])) as board:
+        arguments = ["manual", "--pwm", "40", "--log", str(log), "--trace", str(trace), "--target", target]
+        host = subprocess.Popen(
+            [sys.executable, "-c", PATIENT_HOST, *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 80):
+            time.sleep(0.02)
+        host.kill()
+        said = host.communicate()[1]
+        counts = counts_since(link, 0.6)
+        assert ("no watchdog" in said) != watchdog
+        driven = sum("20 42 01 00" in line for line in trace.read_text().splitlines())
+        assert driven >= 80
+        assert len(Log.read(log)) >= driven - 1  # every row but the last
+        full = sum(counts[:18]) / 18
+        assert full > 3.0  # the board holds the last command, for 20 steps or for ever
+        assert (sum(counts[26:30]) / 4 < 0.9 * full) == watchdog  # one step to latch it, and some to be seen in counts
+        assert (sum(counts[-20:]) == 0) == watchdog
+        with connect(f"serial:{link}") as bench:  # the next host brakes it first of all
+            bench.settle()
+        assert sum(counts_since(link, 0.1)) == 0
+        assert board.poll() is None
 
 
 def test_the_board_is_driven_as_in_this_process(tmp_path: Path) -> None:

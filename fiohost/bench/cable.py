@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 
 from fiohost.bench.clock import Clock
-from fiohost.errors import FiohostError, TelemetryTimeoutError, TransportError
+from fiohost.errors import TelemetryTimeoutError, TransportError
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 
@@ -83,7 +83,7 @@ class Rate:
 def brake_when_back(
     transport: Transport,
     brake: Callable[[], None],
-    failed: FiohostError,
+    failed: Exception,
     clock: Clock,
     limit_s: float,
     is_stopped: Callable[[], bool],
@@ -101,7 +101,7 @@ def brake_when_back(
         try:
             transport.reopen()
             brake()
-        except FiohostError:
+        except Exception:  # of whatever kind: it is tried again
             clock.wait_until(clock.now_s() + RETRY_S)
         else:
             return f"the board came back after {clock.now_s() - began_s:.1f} s and was braked first of all"

@@ -26,7 +26,7 @@ from fiohost.bench.statistics import TickStatistics
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.turns import Progress, Tick, turns
 from fiohost.bench.writer import NoLog
-from fiohost.errors import ConfigError, LogError, TransportError
+from fiohost.errors import ConfigError, LogError
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -154,11 +154,10 @@ class Bench:
         return writer.rows
 
     def _record(self, program: Program, writer: LogWriter, progress: Progress | None, progress_every_s: float) -> None:
-        ending = "complete"
         line = self._line
         line.count_anew()
         try:
-            with StopSignals() as stop, braked_after(line, stop, self.reconnect_s):
+            with StopSignals() as stop, stop.hang_ups(), braked_after(line, stop, self.reconnect_s):
                 settle(line, stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
                 writer.bench_time_s = self._bench_time_s()
@@ -166,15 +165,21 @@ class Bench:
                     turns(line, program, writer, stop, progress, every)
             stop.check()  # a signal during the last brake is an end by signal too
         except BaseException as exc:
-            ending = str(exc) if isinstance(exc, Stopped) else f"stopped: {type(exc).__name__}: {exc}"
-            try:
-                writer.close(ending, self.statistics.describe())
-                if writer.path is not None:
-                    exc.add_note(f"the log {writer.path} is closed with its {writer.rows} rows")
-            except LogError as failed:
-                exc.add_note(str(failed))
+            self._close(writer, exc)
             raise
-        writer.close(ending, self.statistics.describe())
+        writer.close("complete", self.statistics.describe())
+
+    def _close(self, writer: LogWriter, exc: BaseException) -> None:
+        """Close the log of a run that *exc* ended, and tell *exc* what it holds."""
+        try:
+            writer.close(
+                str(exc) if isinstance(exc, Stopped) else f"stopped: {type(exc).__name__}: {exc}",
+                self.statistics.describe(),
+            )
+            if writer.path is not None:
+                exc.add_note(f"the log {writer.path} is closed with its {writer.rows} rows")
+        except LogError as failed:
+            exc.add_note(str(failed))
 
     def settle(self) -> None:
         """Brake until the shaft is at rest (no count for 0.1 s), at most for 5 s."""
@@ -196,7 +201,7 @@ class Bench:
     ) -> None:
         try:
             self.close()
-        except TransportError:
+        except Exception:  # what ended the run is told, not what became of the line since
             if value is None:
                 raise
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from fiohost.bench import cable
 from fiohost.bench.line import Line
 from fiohost.bench.stop import StopSignals
-from fiohost.errors import FiohostError, ReportError, TelemetryTimeoutError
-from fiohost.wire.messages import BRAKE_COMMAND, Command
+from fiohost.errors import DisconnectedError, ReportError, TelemetryTimeoutError
+from fiohost.wire.messages import BRAKE_COMMAND, Command, Telemetry
 
 logger = logging.getLogger("fiohost.bench")
 
@@ -57,7 +57,7 @@ def braked_after(line: Line, stop: StopSignals, reconnect_s: float) -> Iterator[
     except BaseException as exc:
         try:
             brake(line)
-        except FiohostError as failed:
+        except Exception as failed:  # of whatever kind: it must not hide that the motor may be running
             exc.add_note(
                 cable.brake_when_back(
                     line.transport, lambda: brake(line), failed, line.clock, reconnect_s, lambda: bool(stop.requested)
@@ -72,8 +72,7 @@ def brake(line: Line) -> None:
     if not line.transport.lock_step:
         for _ in range(BRAKE_REPEATS):  # one a step: a target that takes them so would lag behind a heap of them
             line.send(BRAKE_COMMAND)
-            with suppress(TelemetryTimeoutError, ReportError):
-                line.newest()
+            _listen(line)
         return
     # Such a board takes a command at its next step, so it needs some; by its readings it can be seen to stand.
     for _ in range(round(BRAKE_LIMIT_S / line.profile.sample_time_s / (2 * STILL_TICKS))):
@@ -87,6 +86,24 @@ def _stands(line: Line, command: Command | None) -> bool:
     for _ in range(STILL_TICKS):
         if command is not None:
             line.send(command)
-        with suppress(TelemetryTimeoutError, ReportError):
-            seen.add(line.newest().pos)
+        reading = _listen(line)
+        if reading is not None:
+            seen.add(reading.pos)
     return len(seen) == 1
+
+
+def _listen(line: Line) -> Telemetry | None:
+    """The newest reading, where there is one: brakes go out one a step, whatever is the matter with reading.
+
+    Raises DisconnectedError.
+    """
+    try:
+        return line.newest()
+    except DisconnectedError:
+        raise
+    except (TelemetryTimeoutError, ReportError):
+        return None
+    except Exception as exc:
+        logger.info("braking without readings: %s: %s", type(exc).__name__, exc)
+        line.clock.wait_until(line.clock.now_s() + line.profile.sample_time_s)
+        return None

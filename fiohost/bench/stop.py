@@ -13,7 +13,10 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
+from fiohost.errors import FiohostError
+
 _NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (the terminal went away)"}
+_HANG_UP = getattr(signal, "SIGHUP", -1)
 _SIGNALS = {getattr(signal, name): said for name, said in _NAMES.items() if hasattr(signal, name)}
 
 
@@ -64,6 +67,19 @@ class StopSignals:
             yield
         finally:
             self._interruptible = False
+
+    @contextmanager
+    def hang_ups(self) -> Iterator[None]:
+        """What fails for want of the terminal is told as its hang-up: which comes first is chance."""
+        try:
+            yield
+        except (OSError, FiohostError) as exc:
+            if self.requested != _HANG_UP:
+                raise
+            stopped = Stopped(self.requested)
+            for note in getattr(exc, "__notes__", ()):
+                stopped.add_note(note)
+            raise stopped from exc
 
     def _on_signal(self, signum: int, frame: FrameType | None) -> None:
         if self.requested and self._interruptible:

@@ -11,6 +11,7 @@ import io
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -34,6 +35,7 @@ class LogWriter:
     def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
         self.path = Path(path) if path is not None else None
         self.rows = 0
+        self._whole = 0  # bytes of the head and of whole rows
         self.bench_time_s: float | None = None  # set once the run begins: time since the bench was opened
         if self.path is not None and self.path.exists() and not self.path.is_file():
             kind = "a directory" if self.path.is_dir() else "not an ordinary file"
@@ -107,12 +109,16 @@ class LogWriter:
         self.close("complete" if kind is None else f"stopped: {kind.__name__}")
 
     def _write(self, data: bytes) -> None:
+        size = len(data)
         try:
             written = self._file.write(data)
             while written < len(data):  # a nearly full disk may take a part
                 data = data[written:]
                 written = self._file.write(data)
+            self._whole += size
         except OSError as exc:
+            with suppress(OSError):
+                self._file.truncate(self._whole)  # no half a row
             raise LogError(
                 f"cannot write the log {self.path}: {exc.strerror}; {self.rows} rows are safe in it"
             ) from exc

@@ -11,7 +11,7 @@ import click
 
 from fiohost.cli.options import parse_number, parse_seed, target_options
 from fiohost.cli.output import Output, json_option, output_for
-from fiohost.errors import ConfigError
+from fiohost.errors import ConfigError, FiohostError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -179,6 +179,8 @@ class _View(AbstractContextManager["_View"]):
         if self._live is not None:
             from rich.text import Text
 
+            if not self.out.is_terminal:  # any more: rich would say nothing, for ever
+                raise FiohostError("the terminal has gone; the motor was braked")
             if _takes_text(self.out.stream):
                 self._live.update(Text("\n".join(filter(None, (self._line, self.help()))), no_wrap=True), refresh=True)
         else:

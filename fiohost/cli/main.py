@@ -5,17 +5,22 @@ To add a command: write a click command in a module of this package and add one 
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, NoReturn
 
 import click
 
 from fiohost import __version__
 from fiohost.cli.lazy import LazyCommands
 from fiohost.errors import FiohostError
+
+# Standard output has ended: its reader left, its terminal hung up, its disk is full.
+OUTPUT_ENDED = (errno.EPIPE, errno.EIO, errno.ENOSPC, errno.EFBIG, errno.EBADF)
 
 # name -> (module:attribute, short help). The help stands here so that `fiohost --help` imports no command.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -59,28 +64,28 @@ class Commands(LazyCommands):
             return super().invoke(ctx)
         except FiohostError as exc:
             _say_error(exc)
-            sys.exit(1)
+            _leave(1)
         except KeyboardInterrupt as exc:  # Stopped is one
-            click.echo(f"\n{exc}" if str(exc) else "\nstopped by Ctrl-C", err=True)
+            _say(f"\n{exc}" if str(exc) else "\nstopped by Ctrl-C")
             _say_notes(exc)
-            sys.exit(getattr(exc, "exit_code", 130))
-        except BrokenPipeError:
-            # whoever read our output has gone; nothing more can be said, nor flushed at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            sys.exit(1)
+            _leave(getattr(exc, "exit_code", 130))
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except Exception as exc:
-            if logging.getLogger("fiohost").isEnabledFor(logging.DEBUG):
+            if isinstance(exc, OSError) and exc.errno in OUTPUT_ENDED and exc.filename is None:
+                if not isinstance(exc, BrokenPipeError):  # a reader who leaves has seen enough
+                    _say(f"fiohost: what there is to say cannot be written: {exc.strerror}")
+            elif logging.getLogger("fiohost").isEnabledFor(logging.DEBUG):
                 raise
-            text = " ".join(str(exc).split())[:300]
-            click.echo(f"fiohost: error inside fiohost: {type(exc).__name__}: {text} (--debug shows where)", err=True)
+            else:
+                text = " ".join(str(exc).split())[:300]
+                _say(f"fiohost: error inside fiohost: {type(exc).__name__}: {text} (--debug shows where)")
             _say_notes(exc)
-            sys.exit(1)
+            _leave(1)
 
 
 def _say_error(exc: FiohostError) -> None:
-    click.echo(f"fiohost: {exc}", err=True)
+    _say(f"fiohost: {exc}")
     _say_notes(exc)
     if logging.getLogger("fiohost").isEnabledFor(logging.DEBUG):
         logging.getLogger("fiohost").debug("where:", exc_info=exc)
@@ -88,7 +93,22 @@ def _say_error(exc: FiohostError) -> None:
 
 def _say_notes(exc: BaseException) -> None:
     for note in getattr(exc, "__notes__", ()):
-        click.echo(f"fiohost: {note}", err=True)
+        _say(f"fiohost: {note}")
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # the terminal may have gone
+        click.echo(text, err=True)
+
+
+def _leave(code: int) -> NoReturn:
+    """Exit with this code, also where what was said last can no longer be written."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(code)
 
 
 def _set_level(ctx: click.Context, parameter: click.Parameter, value: int | bool) -> None:
@@ -126,6 +146,9 @@ def cli() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``fiohost`` command."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started us
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (for as long as the process lives)
     cli.main(args=list(arguments) if arguments is not None else None, prog_name="fiohost")
 
 

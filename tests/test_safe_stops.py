@@ -1,0 +1,226 @@
+"""Every way out of a run, by the command line on a serial line: the motor is braked, the log whole, the exit clean."""
+
+from __future__ import annotations
+
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+from boards import WatchedTransport, bench_on, rows_of
+from lines import BRAKE, PtyBoard
+
+from fiohost.bench.log import Log
+from fiohost.bench.loop import Bench
+from fiohost.transport.profile import TargetProfile
+from fiohost.transport.serial import SerialTransport
+
+ROOT = Path(__file__).parent.parent
+FORWARD = (1440, 1, 0)  # 40 % as the board takes it
+LIMIT_S = 60.0
+# a busy machine holds up the board's thread too
+PATIENT_HOST = (
+    "from fiohost.bench import line; line.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
+)
+DRIVE = ["manual", "--pwm", "40"]
+
+
+class Host:
+    """``fiohost`` in a process of its own, on a board; its standard error goes to a file."""
+
+    def __init__(self, board: PtyBoard, folder: Path, *arguments: str, **how: Any) -> None:
+        self.board, self.log, self.errors = board, folder / "run.csv", folder / "errors.txt"
+        command = [sys.executable, "-c", PATIENT_HOST, *arguments, "--target", f"serial:{board.target}"]
+        with self.errors.open("w") as errors:
+            self.process = subprocess.Popen(command, cwd=folder, **{"stderr": errors, "text": True, **how})
+
+    def drives(self, rows: int = 50) -> None:
+        """Wait until the motor has been driven for some rows of the log."""
+        deadline = time.monotonic() + LIMIT_S
+        while not self.log.exists() or len(rows_of(self.log)) < rows:
+            assert time.monotonic() < deadline, self.errors.read_text()
+            assert self.process.poll() is None, self.errors.read_text()
+            time.sleep(0.01)
+
+    def ended(self) -> int:
+        """Its exit code, once what must hold of every end has been seen: a brake, no traceback."""
+        code = self.process.wait(LIMIT_S)
+        time.sleep(0.03)  # the board takes what is under way
+        commands = [tuple(command) for command in self.board.commands]
+        assert commands[0] == BRAKE
+        assert FORWARD in commands
+        after = commands[len(commands) - commands[::-1].index(FORWARD) :]
+        assert len(after) > 1
+        assert set(after) == {BRAKE}
+        assert "Traceback" not in self.said
+        assert "Exception ignored" not in self.said
+        return code
+
+    @property
+    def said(self) -> str:
+        return self.errors.read_text()
+
+
+@pytest.fixture
+def board() -> Iterator[PtyBoard]:
+    with PtyBoard() as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def _checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+
+
+def whole(log: Path, ending: str) -> None:
+    """All that was driven is in the log, nothing torn, and it says how it ended."""
+    read = Log.read(log)
+    assert len(read) >= 50
+    assert not [note for note in read.dropped if "missing" not in note]  # a host that is late leaves out rows
+    assert read.metadata["ending"].startswith(ending)
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_signal(board: PtyBoard, tmp_path: Path, name: str, code: int) -> None:
+    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", stdout=subprocess.DEVNULL)
+    host.drives()
+    host.process.send_signal(getattr(signal, name))
+    assert host.ended() == code
+    whole(host.log, "stopped by")
+    assert "the board has no watchdog" in host.said  # said at its start
+
+
+@pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml"]])
+def test_a_reader_who_leaves(board: PtyBoard, tmp_path: Path, command: list[str]) -> None:
+    """As ``fiohost ... | head -1`` does."""
+    (tmp_path / "step_40.toml").write_text(
+        'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
+    )
+    host = Host(board, tmp_path, *command, "--log", "run.csv", stdout=subprocess.PIPE)
+    assert host.process.stdout is not None
+    host.process.stdout.readline()
+    host.drives()
+    host.process.stdout.close()
+    assert host.ended() == 1
+    whole(host.log, "stopped: BrokenPipeError")
+    assert "rows" in host.said  # where the log is
+
+
+@pytest.mark.parametrize("is_its_own", [True, False])
+def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) -> None:
+    """One that is the process's own hangs up with a signal, any other only takes no more text."""
+    terminal, end = pty.openpty()
+
+    def take() -> None:
+        import fcntl
+        import termios
+
+        os.setsid()
+        if is_its_own:
+            fcntl.ioctl(end, termios.TIOCSCTTY, 0)
+
+    streams: dict[str, int | IO[str]] = {"stdin": end, "stdout": end}
+    if is_its_own:
+        streams["stderr"] = end  # what is said last goes nowhere, and that changes nothing
+    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", preexec_fn=take, **streams)
+    os.close(end)
+    host.drives()
+    os.close(terminal)
+    code = host.ended()
+    if is_its_own:
+        assert code == 129
+        whole(host.log, "stopped by SIGHUP")
+    else:
+        assert code == 1
+        whole(host.log, "stopped: FiohostError")
+        assert "the terminal has gone; the motor was braked" in host.said
+
+
+def limited(size: int) -> Any:
+    """A disk that is full once a file has grown to *size* bytes."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def test_a_full_disk_under_the_log(board: PtyBoard, tmp_path: Path) -> None:
+    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", stdout=subprocess.DEVNULL, preexec_fn=limited(8000))
+    assert host.ended() == 1
+    whole(host.log, "stopped: LogError")
+    assert "rows are safe in it" in host.said
+
+
+def test_a_full_disk_under_what_is_said(board: PtyBoard, tmp_path: Path) -> None:
+    with (tmp_path / "out.txt").open("w") as out:
+        host = Host(board, tmp_path, *DRIVE, stdout=out, preexec_fn=limited(250))
+        assert host.ended() == 1
+    assert "what there is to say cannot be written: File too large" in host.said
+
+
+def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Path) -> None:
+    """Standard output and error closed, as some services start their children: the run is the same."""
+    shell = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-c", PATIENT_HOST]
+    arguments = [*DRIVE, "--duration", "0.5", "--log", "run.csv", "--target", f"serial:{board.target}"]
+    assert subprocess.run([*shell, *arguments], cwd=tmp_path, timeout=LIMIT_S, check=False).returncode == 0
+    whole(tmp_path / "run.csv", "complete")
+    assert board.braked
+
+
+# ---- what reads or writes fails in a way that nobody foresaw -------------------------------------------------------
+
+
+def test_reading_that_fails_for_good_on_the_simulated_board(tmp_path: Path) -> None:
+    """The brake goes out all the same, more than once."""
+
+    def fail(k: int, report: bytes) -> bytes:
+        if k >= 60:
+            raise RuntimeError("the reader died")
+        return report
+
+    transport = WatchedTransport(on_receive=fail)
+    with pytest.raises(RuntimeError, match="the reader died") as caught, bench_on(transport) as bench:
+        bench.drive(40.0, 5.0, tmp_path / "run.csv")
+    driven = max(k for k, report in enumerate(transport.sent) if report[:4] == bytes.fromhex("00 00 20 42"))
+    assert len(transport.sent) - driven > 5
+    assert transport.braked
+    assert not any("MAY BE RUNNING" in note for note in caught.value.__notes__)
+    log = Log.read(tmp_path / "run.csv")
+    assert (len(log) > 0, log.dropped) == (True, ())
+    assert log.metadata["ending"] == "stopped: RuntimeError: the reader died"
+
+
+class BrokenSerial(SerialTransport):
+    """From a time on all reading fails, or also all writing."""
+
+    fails = ""
+
+    def receive(self, timeout_s: float) -> bytes:
+        if self.fails:
+            raise RuntimeError("the reader died")
+        return super().receive(timeout_s)
+
+    def send(self, report: bytes) -> None:
+        if self.fails == "both":
+            raise RuntimeError("the writer died")
+        super().send(report)
+
+
+@pytest.mark.parametrize("fails", ["reading", "both"])
+def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, board: PtyBoard, tmp_path: Path) -> None:
+    line = BrokenSerial(board.target)
+
+    def break_it(tick: object) -> None:
+        line.fails = fails
+
+    with pytest.raises(RuntimeError, match="the reader died") as caught:  # noqa: SIM117 (the bench opens within)
+        with Bench(line, TargetProfile.load("serial-documented")) as bench:
+            bench.drive(40.0, 5.0, tmp_path / "run.csv", progress=break_it, progress_every_s=0.3)
+    time.sleep(0.03)
+    assert board.braked == (fails == "reading")
+    assert any("MAY BE RUNNING" in note for note in caught.value.__notes__) == (fails == "both")
+    assert Log.read(tmp_path / "run.csv").metadata["ending"] == "stopped: RuntimeError: the reader died"
