@@ -224,3 +224,26 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
     assert board.braked == (fails == "reading")
     assert any("MAY BE RUNNING" in note for note in caught.value.__notes__) == (fails == "both")
     assert Log.read(tmp_path / "run.csv").metadata["ending"] == "stopped: RuntimeError: the reader died"
+
+
+# ---- plugged in again ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [[*DRIVE], ["run", "staircase"], ["panel", "--web", "--port", "0"]])
+def test_a_board_that_comes_back_is_braked_first_of_all_by_every_command_that_drives(
+    command: list[str], tmp_path: Path
+) -> None:
+    link = str(tmp_path / "board")
+    with PtyBoard(link) as gone:
+        host = Host(gone, tmp_path, *command, "--reconnect", "60", "--log", "run.csv", stdout=subprocess.DEVNULL)
+        host.drives()
+        gone.unplug()
+        time.sleep(0.1)
+        with PtyBoard(link) as back:
+            code = host.process.wait(LIMIT_S)
+            time.sleep(0.03)
+            assert {tuple(taken) for taken in back.commands} == {BRAKE}
+    assert code == 1
+    assert "THE MOTOR MAY BE RUNNING; waiting for the board to come back" in host.said
+    assert "was braked first of all" in host.said
+    whole(host.log, "stopped: DisconnectedError")
