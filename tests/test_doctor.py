@@ -13,6 +13,7 @@ from boards import WatchedTransport, bench_on
 from click.testing import CliRunner
 from lines import FakeHidapi, PtyBoard, info
 
+from fiohost.bench.connect import connect
 from fiohost.bench.doctor import PROBLEM, Finding, signs, timing
 from fiohost.cli.main import cli
 from fiohost.transport import discovery, serial
@@ -84,6 +85,14 @@ def test_wrong_wires_are_named(board: Rewired, said: str) -> None:
     findings = list(signs(bench_on(board), 40.0))
     assert said in problems(findings)
     assert all(finding.cure for finding in findings if finding.level == PROBLEM)
+
+
+def test_pulses_below_a_slew_limit_accuse_no_wire() -> None:
+    with connect("sim", limits={"slew_pct_per_s": 10.0, "run_time_s": 0.5}) as bench:
+        assert len(timing(bench, 2.0).answer_ms) == 100  # and the run time holds
+        (finding,) = signs(bench, 40.0)
+    assert "does not move within 2 % of duty" in finding.what
+    assert finding.cure.startswith("the target's slew limit lets a short pulse reach no more")
 
 
 def test_timing_keeps_the_motor_braked_and_counts_each_tick() -> None:

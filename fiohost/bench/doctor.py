@@ -56,7 +56,10 @@ class Timing:
 
 
 def timing(bench: Bench, seconds: float = LISTEN_S) -> Timing:
-    """Listen and answer with the brake for some *seconds*. Raises FiohostError as every run does."""
+    """Listen and answer with the brake for some *seconds*, within the target's run time. Raises FiohostError as every
+    run does.
+    """
+    seconds = min(seconds, bench.profile.limits.run_time_s)
     line = bench.transport
     timed = TimedTransport(line, time.perf_counter)
     bench.transport = timed
@@ -136,18 +139,20 @@ def signs(bench: Bench, most_pct: float) -> Iterator[Finding]:
     forward, at_forward = _first_move(bench, 1, most_pct)
     reverse, at_reverse = _first_move(bench, -1, most_pct)
     if forward is None and reverse is None:
+        reached_pct = min(at_forward, at_reverse)
+        slewed = "the target's slew limit lets a short pulse reach no more; " if bench.statistics.slowed else ""
         yield Finding(
             PROBLEM,
-            f"the shaft does not move within {most_pct:g} % of duty, in either direction",
-            "is the motor's supply on, are C3 and C4 pulled up (without, the motor coasts in every setting), is the "
-            "encoder connected? Much friction, or a bridge in fast decay: --most 100 tries harder",
+            f"the shaft does not move within {reached_pct:g} % of duty, in either direction",
+            f"{slewed}is the motor's supply on, are C3 and C4 pulled up (without, the motor coasts in every setting), is "
+            "the encoder connected? Much friction, or a bridge in fast decay: --most 100 tries harder",
         )
         return
     if forward is None or reverse is None:
         dead, bit = ("forward", "C3") if forward is None else ("in reverse", "C4")
         yield Finding(
             PROBLEM,
-            f"the shaft does not move {dead} within {most_pct:g} %",
+            f"the shaft does not move {dead} within {at_forward if forward is None else at_reverse:g} %",
             f"{bit} does not reach the bridge as 1 while the other is 0: check its wire and pull-up",
         )
     else:
@@ -174,13 +179,18 @@ def signs(bench: Bench, most_pct: float) -> Iterator[Finding]:
 
 
 def _first_move(bench: Bench, sign: int, most_pct: float) -> tuple[Log | None, float]:
+    """The first pulse that moves the shaft, and the largest duty that it reached, or that any did where none moves it.
+
+    A slew limit may hold a pulse below its level.
+    """
     counts = 360.0 / bench.counts_per_rev
-    most_pct = min(most_pct, bench.profile.limit_duty_pct)
+    most_pct, reached_pct = min(most_pct, bench.profile.limit_duty_pct), 0.0
     for duty in [*(d for d in PULSES_PCT if d < most_pct), most_pct]:
         log = bench.drive(sign * duty, PULSE_S)
+        reached_pct = max(reached_pct, float(np.abs(log.duty_pct).max()))
         if abs(log.output[-1] - log.output[0]) >= MOVED_COUNTS * counts:
-            return log, duty
-    return None, most_pct
+            return log, reached_pct
+    return None, reached_pct
 
 
 def _way(log: Log) -> float:
