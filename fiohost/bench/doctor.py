@@ -144,8 +144,8 @@ def signs(bench: Bench, most_pct: float) -> Iterator[Finding]:
         yield Finding(
             PROBLEM,
             f"the shaft does not move within {reached_pct:g} % of duty, in either direction",
-            f"{slewed}is the motor's supply on, are C3 and C4 pulled up (without, the motor coasts in every setting), is "
-            "the encoder connected? Much friction, or a bridge in fast decay: --most 100 tries harder",
+            f"{slewed}is the motor's supply on, are C3 and C4 pulled up (without, the motor coasts in every setting), "
+            "is the encoder connected? Much friction, or a bridge in fast decay: --most 100 tries harder",
         )
         return
     if forward is None or reverse is None:
