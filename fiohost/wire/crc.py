@@ -7,6 +7,7 @@ parametrised CRC algorithms (reveng.sourceforge.io/crc-catalogue); its check val
 
 from __future__ import annotations
 
+import binascii
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -65,7 +66,11 @@ def find_crc(name: str) -> Crc:
 
 @cache
 def crc_function(crc: Crc) -> Callable[[bytes], int]:
-    """The algorithm as a function of bytes, one table look-up a byte."""
+    """The algorithm as a function of bytes: Python's own where it has it, else one table look-up a byte."""
+    if (crc.width, crc.polynomial, crc.reflected, crc.final_xor) == (16, 0x1021, False, 0):
+        return lambda data: binascii.crc_hqx(data, crc.initial)
+    if crc == CATALOGUE["CRC-32/ISO-HDLC"]:
+        return binascii.crc32
     table = tuple(_remainder(crc, byte) for byte in range(256))
     width, initial, final = crc.width, crc.initial, crc.final_xor
     mask, shift = (1 << width) - 1, width - 8

@@ -157,20 +157,21 @@ class Layout:
     def pack(self) -> Callable[..., bytes]:
         """Field values in the order of :attr:`names` to bytes. Raises struct.error, OverflowError or ValueError."""
         pack_numbers, _ = _numbers(self._in_order, self.length)
-        if not self._marks() and not self.terminator and self.crc is None:
-            return pack_numbers
         mark = (b"" if self.report_id is None else bytes([self.report_id])) + self.header
         ends, terminator, check = self.length - len(self.terminator), self.terminator, self.crc
 
-        def pack(*values: Value) -> bytes:
-            report = bytearray(pack_numbers(*values))
-            report[: len(mark)] = mark
-            report[ends:] = terminator
-            if check is not None:
-                report[check.offset : check.offset + check.size] = self._crc_bytes(report)
+        def pack_marked(*values: Value) -> bytes:
+            return mark + pack_numbers(*values)[len(mark) : ends] + terminator
+
+        def pack_checked(*values: Value) -> bytes:
+            report = bytearray(pack_marked(*values))
+            assert check is not None
+            report[check.offset : check.offset + check.size] = self._crc_bytes(report)
             return bytes(report)
 
-        return pack
+        if check is not None:
+            return pack_checked
+        return pack_marked if mark or terminator else pack_numbers
 
     @cached_property
     def unpack(self) -> Callable[[bytes], tuple[Value, ...]]:
@@ -201,11 +202,13 @@ class Layout:
 
         return unpack
 
-    def _crc_bytes(self, report: bytes | bytearray) -> bytes:
+    @cached_property
+    def _crc_bytes(self) -> Callable[[bytes | bytearray], bytes]:
+        """The CRC of a report, as it stands in it."""
         assert self.crc is not None
-        crc = find_crc(self.crc.name)
-        value = crc_function(crc)(bytes(report[self.crc.first : self.crc.end]))
-        return value.to_bytes(crc.size, "big" if self.crc.byte_order == "big" else "little")
+        crc, first, end = find_crc(self.crc.name), self.crc.first, self.crc.end
+        value, size, big = crc_function(crc), crc.size, self.crc.byte_order == "big"
+        return lambda report: value(bytes(report[first:end])).to_bytes(size, "big" if big else "little")
 
     def encode(self, values: Mapping[str, Value]) -> bytes:
         """Bytes of a report. Raises ReportError where a value is missing or does not fit its type."""
