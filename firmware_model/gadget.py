@@ -26,9 +26,7 @@ def up(configfs: Path = CONFIGFS, controllers: Path = CONTROLLERS, serial_number
     """Make the gadget and plug it in; gives the controller's name. Raises FirmwareModelError."""
     gadget = configfs / NAME
     try:
-        names = sorted(path.name for path in controllers.iterdir())
-        if not names:
-            raise FirmwareModelError(f"no USB port of this computer can be a device; {NEEDS}")
+        _controller(controllers)
         gadget.mkdir()
         _write(gadget, idVendor=f"0x{VENDOR_ID:04x}", idProduct=f"0x{PRODUCT_ID:04x}", bcdDevice="0x0100")
         strings = {"serialnumber": serial_number, "manufacturer": "firmware_model", "product": "simulated board"}
@@ -40,10 +38,34 @@ def up(configfs: Path = CONFIGFS, controllers: Path = CONTROLLERS, serial_number
         config = _folder(gadget / "configs/c.1")
         for function in (hid, acm):
             (config / function.name).symlink_to(function)
-        _write(gadget, UDC=names[0])
     except OSError as exc:
         raise FirmwareModelError(f"cannot make the gadget in {gadget}: {exc.strerror}; {NEEDS}") from exc
+    return plug(configfs, controllers)
+
+
+def plug(configfs: Path = CONFIGFS, controllers: Path = CONTROLLERS) -> str:
+    """Plug the cable in (again); gives the controller's name. Raises FirmwareModelError."""
+    name = _controller(controllers)
+    try:
+        _write(configfs / NAME, UDC=name)
+    except OSError as exc:
+        raise FirmwareModelError(f"the gadget cannot be plugged in: {exc.strerror}; {NEEDS}") from exc
+    return name
+
+
+def _controller(controllers: Path) -> str:
+    """The USB port that can be a device. Raises FirmwareModelError."""
+    try:
+        names = sorted(path.name for path in controllers.iterdir())
+    except OSError:
+        names = []
+    if not names:
+        raise FirmwareModelError(f"no USB port of this computer can be a device; {NEEDS}")
     return names[0]
+
+
+def is_plugged(configfs: Path = CONFIGFS) -> bool:
+    return bool((configfs / NAME / "UDC").read_text().strip())
 
 
 def unplug(configfs: Path = CONFIGFS) -> None:

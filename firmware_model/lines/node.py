@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tty
 from contextlib import suppress
@@ -30,13 +31,17 @@ class NodeLine:
             tty.setraw(self._fd)
 
     def receive(self) -> list[bytes]:
-        if self._fd < 0:  # the gadget's serial port hangs up with its cable
+        if self._fd < 0:  # given back with the cable, or hung up
             with suppress(OSError):
                 self._open()
         came: list[bytes] = []
         try:
-            while self._fd >= 0 and len(came) < MOST_READS and (data := os.read(self._fd, PIECE)):
-                came.append(data)
+            while self._fd >= 0 and len(came) < MOST_READS:
+                data = os.read(self._fd, PIECE)
+                if data:
+                    came.append(data)
+                else:  # hung up; a line on which nothing comes would block
+                    self._lost()
         except BlockingIOError:
             pass
         except OSError:
@@ -46,8 +51,11 @@ class NodeLine:
     def send(self, report: bytes) -> None:
         if self._fd < 0:
             return
-        with suppress(OSError):  # nobody there: a full buffer, or no cable
+        try:
             os.write(self._fd, report)
+        except OSError as exc:  # nobody there: a full buffer, or no cable
+            if exc.errno == errno.ESHUTDOWN:  # Linux crashes where a HID gadget's node is held until the cable is back
+                self._lost()
 
     def _lost(self) -> None:
         with suppress(OSError):

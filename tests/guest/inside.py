@@ -1,0 +1,66 @@
+"""The guest's side: plugs the gadget in, serves the board on it, runs fiohost against it, and prints a table.
+
+Run by ``boot.py`` as root in the guest. Exit code 0 where every step was as it must be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # an installed fiohost or this checkout: the same text
+
+from firmware_model import gadget
+
+NODES = ("/dev/hidg0", "/dev/ttyGS0", "/dev/hidraw0", "/dev/ttyACM0")
+PLUG_LIMIT_S = 20.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--run", metavar="COMMAND")
+    parser.add_argument("--board", metavar="OPTIONS")
+    asked = parser.parse_args()
+    controller = gadget.up()
+    wait_for_nodes()
+    print(
+        f"guest: {Path('/proc/version').read_text().split('(')[0].strip()}, gadget on {controller}, "
+        f"{time.monotonic():.0f} s after its start",
+        flush=True,
+    )
+    if asked.run is not None:
+        return _run(asked.run, asked.board)
+    import steps
+
+    return steps.all_of_them()
+
+
+def wait_for_nodes() -> None:
+    """Until both ends of the cable are there. Raises TimeoutError."""
+    deadline_s = time.monotonic() + PLUG_LIMIT_S
+    while missing := [node for node in NODES if not Path(node).exists()]:
+        if time.monotonic() > deadline_s:
+            raise TimeoutError(f"plugged in, but {', '.join(missing)} did not come in {PLUG_LIMIT_S:g} s")
+        time.sleep(0.02)
+
+
+def _run(command: str, board: str | None) -> int:
+    served = None
+    if board is not None:
+        words = [sys.executable, "-m", "firmware_model", *board.split()]
+        served = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert served.stdout is not None
+        print("board:", served.stdout.readline().strip(), flush=True)
+    try:
+        return subprocess.call(command, shell=True)
+    finally:
+        if served is not None:
+            served.terminate()
+            print("board:", served.communicate(timeout=60)[0].strip())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
