@@ -277,7 +277,7 @@ def test_what_a_stream_loses_is_counted_and_nothing_is_held(profile: str) -> Non
     finally:
         tracemalloc.stop()
     assert held < 20_000
-    assert len(parser._held) < length
+    assert len(parser.held) < length
 
 
 # ---- sequence and tick ---------------------------------------------------------------------------------------------

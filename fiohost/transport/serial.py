@@ -87,12 +87,11 @@ class SerialTransport(Transport):
         self._port, self._fd = port, port.fileno() if AS_FILE else -1
 
     def send(self, report: bytes) -> None:
-        port = self._taken()
         try:
-            if self._fd < 0:
-                port.write(report)
-            else:
+            if self._fd >= 0:
                 _write(self._fd, report)
+            else:
+                self._taken().write(report)
         except _GONE as exc:
             if isinstance(exc, TimeoutError) or type(exc).__name__ == "SerialTimeoutException":
                 raise TransportError(
@@ -101,9 +100,8 @@ class SerialTransport(Transport):
             raise self._gone(exc) from exc
 
     def receive(self, timeout_s: float) -> bytes:
-        port = self._taken()
         try:
-            data = _read(self._fd, timeout_s) if self._fd >= 0 else _read_port(port, timeout_s)
+            data = _read(self._fd, timeout_s) if self._fd >= 0 else _read_port(self._taken(), timeout_s)
         except _GONE as exc:
             raise self._gone(exc) from exc
         if not data:

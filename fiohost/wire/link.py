@@ -86,7 +86,7 @@ class Link:
         be one, and for one that is not new.
         """
         parser = self._parser
-        if parser is not None and (parser.holds or len(data) != parser.length):
+        if parser is not None and (parser.held or len(data) != parser.length):
             return self._of_stream(parser, data)
         try:
             reading = self.codec.decode(data)

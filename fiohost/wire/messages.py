@@ -72,6 +72,9 @@ class Telemetry(NamedTuple):
     tick: float | None = None
 
 
+_new = tuple.__new__  # of a Telemetry: what stands between a reading and its answer is kept short
+
+
 class Codec:
     """Commands to bytes and bytes to telemetry, for one pair of layouts.
 
@@ -127,7 +130,9 @@ class Codec:
                 f"the board reports direction = {direction}, which is neither 0 nor 1: "
                 "its layout is not that of the target profile"
             )
-        return Telemetry(*self._pick_telemetry((*values, None))) if self._numbered else Telemetry(direction, pos)
+        if self._numbered:
+            return Telemetry(*self._pick_telemetry((*values, None)))
+        return _new(Telemetry, (direction, pos, None, None))
 
 
 def _check_fields(layout: Layout) -> None:

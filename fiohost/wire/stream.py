@@ -23,34 +23,29 @@ class StreamParser(Generic[Message]):
     """Feed it bytes as they come; it gives the messages in them. *read* raises ReportError for what is none.
 
     ``reports`` counts messages, ``garbage_bytes`` bytes between them, ``refused`` by reason what began like a report
-    and was none. It never holds more than PIECE bytes and one report.
+    and was none. ``held`` is what waits for the rest of its report; it is never more than PIECE bytes and one report.
     """
 
     def __init__(self, layout: Layout, read: Callable[[bytes], Message]) -> None:
         self.length = layout.length
         self._start = (b"" if layout.report_id is None else bytes([layout.report_id])) + layout.header
         self._read = read
-        self._held = bytearray()
+        self.held = bytearray()
         self.reports = 0
         self.garbage_bytes = 0
         self.refused: Counter[str] = Counter()
         self.problem: ReportError | None = None  # the last one
 
-    @property
-    def holds(self) -> bool:
-        """Whether the beginning of a report waits for the rest of it."""
-        return bool(self._held)
-
     def feed(self, data: bytes) -> list[Message]:
         """Messages that are whole with *data*, in their order."""
         found: list[Message] = []
         for at in range(0, len(data), PIECE):
-            self._held += data[at : at + PIECE]
+            self.held += data[at : at + PIECE]
             self._parse(found)
         return found
 
     def _parse(self, found: list[Message]) -> None:
-        held, length, start = self._held, self.length, self._start
+        held, length, start = self.held, self.length, self._start
         at = 0
         while len(held) - at >= length:
             begins = held.find(start, at) if start else at
