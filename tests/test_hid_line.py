@@ -141,6 +141,18 @@ def test_a_write_that_gives_minus_one_is_an_error_though_nothing_is_raised() -> 
             board.send(b"\x01" * 64)
 
 
+def test_a_board_found_gone_is_gone_for_the_brake_too() -> None:
+    """Without asking for all devices again, which takes libusb a tenth of a second."""
+    module = FakeHidapi(info())
+    with line(module) as board:
+        module.script.extend([OSError("read error")] * 3)
+        with pytest.raises(DisconnectedError):
+            board.receive(0.05)
+        module.write_results.extend([-1] * 3)
+        with pytest.raises(DisconnectedError):
+            board.send(b"\x01" * 64)
+
+
 def test_a_closed_line_is_said_to_be_so() -> None:
     board = line(FakeHidapi(info()))
     with pytest.raises(DisconnectedError, match="not open"):

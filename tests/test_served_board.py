@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -159,6 +160,26 @@ def test_a_node_of_reports_is_read_report_by_report_and_survives_an_unplug(tmp_p
     node.close()
 
 
+def test_a_nodes_cable_that_is_out_is_noticed_and_the_node_given_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel says so by the end of a serial line, and by ESHUTDOWN where a HID report is written."""
+    node_file = tmp_path / "node"
+    node_file.write_bytes(b"a" * 64)
+    node = NodeLine(str(node_file), stream=False)
+    assert node.receive() == [b"a" * 64]
+    assert node._fd < 0
+    assert node.receive() == [b"a" * 64]  # taken again
+    node = NodeLine(str(node_file), stream=False)
+
+    def write(fd: int, data: bytes) -> int:
+        raise OSError(errno.ESHUTDOWN, "shut down")
+
+    monkeypatch.setattr("firmware_model.lines.node.os.write", write)
+    node.send(b"b" * 64)
+    assert node._fd < 0
+
+
 def test_a_gadget_is_made_as_the_kernel_wants_it_and_taken_away(tmp_path: Path) -> None:
     configfs, controllers = tmp_path / "usb_gadget", tmp_path / "udc"
     configfs.mkdir()
@@ -175,6 +196,9 @@ def test_a_gadget_is_made_as_the_kernel_wants_it_and_taken_away(tmp_path: Path) 
     assert (made / "UDC").read_text() == "dummy_udc.0\n"
     gadget.unplug(configfs)
     assert (made / "UDC").read_text() == "\n"
+    assert not gadget.is_plugged(configfs)
+    assert gadget.plug(configfs, controllers) == "dummy_udc.0"
+    assert gadget.is_plugged(configfs)
     gadget.down(configfs)
     assert not list((made / "configs/c.1").glob("*.usb0"))
     with pytest.raises(FirmwareModelError, match="File exists"):

@@ -63,6 +63,7 @@ class HidTransport(Transport):
         self._given = backends
         self._stale_s = stale_s
         self._fresh_from_s = 0.0  # on the monotonic clock; 0: all is fresh
+        self._found_gone = False
         self._device: Any = None
         self._backend: Backend | None = None
         self._lock: DeviceLock | None = None
@@ -140,6 +141,7 @@ class HidTransport(Transport):
         self._device, self._lock, self._backend, self._known = device, lock, backend, info
         self.identity = _handle(info)
         self.facts = {"hid_backend": f"{backend.name} {backend.version}"}
+        self._found_gone = False
         self._drain()  # what an earlier host left there
         self._fresh_from_s = time.monotonic() + self._stale_s if self._stale_s else 0.0
         return None
@@ -233,11 +235,12 @@ class HidTransport(Transport):
 
     def _is_gone(self) -> bool:
         backend, known = self._backend, self._known
-        if backend is None or known is None:
+        if self._found_gone or backend is None or known is None:  # libusb takes a tenth of a second to tell
             return True
         return not any(info["path"] == known["path"] for info in backend.enumerate())
 
     def _gone(self, why: object) -> DisconnectedError:
+        self._found_gone = True
         return DisconnectedError(
             f"{self.name} went away: the board was unplugged or reset ({why or 'no reason given'})"
         )
