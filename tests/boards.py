@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from fiohost.bench.loop import Bench
@@ -37,8 +38,9 @@ class WatchedTransport(SimulatedTransport):
         return self.sent[-1][:6] == bytes.fromhex("00 00 00 00 01 01")
 
 
-def bench_on(transport: SimulatedTransport) -> Bench:
-    return Bench(transport, TargetProfile.load())
+def bench_on(transport: SimulatedTransport, **limits: float) -> Bench:
+    profile = TargetProfile.load()
+    return Bench(transport, replace(profile, limits=profile.limits.within(limits)))
 
 
 def rows_of(path: Path) -> list[str]:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from boards import WatchedTransport, bench_on, rows_of
 from desktop import Chromium, Screen, needed, until
@@ -125,9 +126,9 @@ class Script:
         self.answers.append(json.loads(answer))
 
 
-def play(messages: dict[int, Any]) -> tuple[WatchedTransport, Script, Callable[[], int]]:
+def play(messages: dict[int, Any], **limits: float) -> tuple[WatchedTransport, Script, Callable[[], int]]:
     transport, script = WatchedTransport(), Script(messages)
-    bench = bench_on(transport)
+    bench = bench_on(transport, **limits)
     program = PanelProgram(bench, script, "the panel died")  # type: ignore[arg-type]
     return transport, script, lambda: bench.live(program, "run.csv", None, program, link.READING_S)
 
@@ -151,6 +152,19 @@ def test_the_bench_answers_frames_obeys_and_ends_when_the_display_is_closed() ->
     times = [row[0] for row in first["readings"] + second["readings"]]
     assert times == sorted(set(times))  # each reading once
     assert second["readings"][-1][4] == int(log.columns["pos"][round(times[-1] / 0.005)])
+
+
+def test_the_limits_of_the_target_hold_for_a_person_too() -> None:
+    _, _, run = play({2: act("duty", 90.0), 400: b'{"closed": true}'}, duty_pct=30.0, slew_pct_per_s=100.0)
+    run()
+    log = Log.read("run.csv")
+    assert max(log.duty_pct) == 30.0
+    assert np.diff(log.duty_pct).max() <= 0.5 + 1e-4
+    for limit in ({"travel_deg": 90.0}, {"run_time_s": 0.5}):
+        transport, _, run = play({2: act("duty", 70.0)}, **limit)
+        with pytest.raises(LimitError, match="limit of"):
+            run()
+        assert transport.braked
 
 
 @pytest.mark.parametrize(
