@@ -64,5 +64,5 @@ def confirm(record: Record, declared: Stage, final: Stage, seed: int = 0) -> Con
     rng = np.random.default_rng(seed)
     before, after = judge(record, declared.fit.model), judge(record, final.fit.model)
     gain, bounds = improvement(before.window_residual, after.window_residual, record.windows, rng)
-    floor = floors([record], final.fit.model, [after], final.replica_models, rng)[0]
+    floor = floors([record], final.fit.model, [after], final.scattered_models, rng)[0]
     return Confirmation(record, before, after, floor, gain, bounds)

@@ -139,7 +139,7 @@ def _diagnose(
         before_holdout=tuple(each(lambda r: judge(r, declared.fit.model), holdout)) if holdout else (),
         after_holdout=after,
         step_holdout=tuple(tuple(judge(r, s.stage.fit.model) for r in holdout) for s in steps),
-        floor_holdout=tuple(floors(holdout, final, after, stage.replica_models, rng)) if holdout else (),
+        floor_holdout=tuple(floors(holdout, final, after, stage.scattered_models, rng)) if holdout else (),
         preliminary=preliminary,
         seconds=time.monotonic() - began,
         horizon_s=horizon_s,

@@ -37,6 +37,12 @@ class Floor:
     source: str
     draws: tuple[Judgement, ...]
 
+    @property
+    def weighted_square(self) -> float:
+        """Squared error of the free run as a fit weighs it, summed up; repeats that scatter more raise it alike."""
+        over = self.errors.free_run_rms / max(_mean([d.errors for d in self.draws]).free_run_rms, 1e-300)
+        return float(np.mean([d.weighted_square for d in self.draws])) * over**2
+
 
 def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
     """Bounds of how far the shaft may stand from the model's angle, from the residual (n) of its free run.
@@ -120,8 +126,8 @@ def replica_models(
     found = []
     for _ in range(count):
         noises = [
-            replica(r, fitted.model, s, rng, None if anywhere else e) - free_output(r, flat, s)
-            for r, s, e in zip(records, fitted.starts, fitted.residuals, strict=True)
+            r.weights * (replica(r, fitted.model, s, rng, None if anywhere else e) - free_output(r, flat, s))
+            for r, s, e in zip(records, fitted.starts, fitted.errors(records), strict=True)
         ]
         found.append(refitted(fitted, noises))
     return found

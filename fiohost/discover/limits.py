@@ -91,11 +91,11 @@ class Limits:
 
         The base of an effect is that effect at no size, so that its finer steps in time do not count.
         """
-        change = [y - b for y, b in zip(self.outputs(model), base, strict=True)]
+        change = [r.weights * (y - b) for r, y, b in zip(self.records, self.outputs(model), base, strict=True)]
         whole = np.concatenate([c - q @ (q.T @ c) for c, q in zip(change, self.nuisances, strict=True)])
         left = whole - self.own @ (self.own.T @ whole)
         raw = float(np.sqrt(sum(float(c @ c) for c in change)))
-        parts = [left[a:b] for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)]
+        parts = [left[a:b] / r.weights for r, a, b in zip(self.records, self.edges[:-1], self.edges[1:], strict=True)]
         return parts, float(np.linalg.norm(left)) / raw if raw > 0 else 0.0
 
     def over(self, parts: Sequence[np.ndarray]) -> Callable[[float], tuple[float, str, str]]:

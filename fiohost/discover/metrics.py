@@ -37,13 +37,18 @@ class Errors:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A model on one record: the figures and what they were computed from, each array (n)."""
+    """A model on one record: the figures and what they were computed from, each array (n).
+
+    ``weighted_square`` is the squared error of the free run as a fit weighs it, summed up, ``weight`` that of ones.
+    """
 
     errors: Errors
     start: Start
     simulated: np.ndarray
     free_residual: np.ndarray
     window_residual: np.ndarray
+    weighted_square: float
+    weight: float
     wide_windows_pct: float | None
     windows: int
 
@@ -80,8 +85,17 @@ def judge(record: Record, model: Model, y: np.ndarray | None = None, *, near: St
     simulated = read(record, flat, states)
     free = data - simulated
     windows = window_residuals(record, flat, states, data)
-    figures = _figures(data, free, windows, record.quantum)
-    return Judgement(figures, start, simulated, free, windows, _wide_windows(record, windows), len(record.windows) - 1)
+    return Judgement(
+        errors=_figures(data, free, windows, record.quantum),
+        start=start,
+        simulated=simulated,
+        free_residual=free,
+        window_residual=windows,
+        weighted_square=float(np.sum((record.weights * free) ** 2)),
+        weight=float(record.weights @ record.weights),
+        wide_windows_pct=_wide_windows(record, windows),
+        windows=len(record.windows) - 1,
+    )
 
 
 def pool(parts: Sequence[Errors]) -> Errors | None:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.choose import Validated, fit_anew, full_fit, objection, polish, rough_fit, validate
+from fiohost.discover.choose import Validated, objection, validate
 from fiohost.discover.floor import replica
+from fiohost.discover.refit import fit_anew, full_fit, polish, rough_fit
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
@@ -28,9 +29,13 @@ FAR, HOPELESS = 12.0, 4.0
 # Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
 LOST, UTTERLY_LOST = 2.0, 20.0
 REFITTED_ANEW = 16
+# Where a candidate stays as far, windows are fitted first, from so many of its trials.
+WINDOW_STARTS = 4
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
+# So many that could have been added instead are tried again in the place of the winner once another effect is there.
+MOST_OTHERS = 3
 FINISHED = 1.1
 # A further effect must account for this share of what still stands above the floor: small remains have many takers.
 LEAST_OF_REST = 0.3
@@ -72,6 +77,16 @@ class Outcome:
     evidence: Mapping[str, object] = field(default_factory=dict)
     base_cost: float = np.inf
 
+    @property
+    def able_beside_winner(self) -> tuple[Candidate, ...]:
+        """Those that left-out records spoke for as well, the best of them first."""
+        able = [(c.validated.cost, c) for c in self.candidates if c.validated is not None and c.effect != self._name]
+        return tuple(c for _, c in sorted(able, key=lambda pair: pair[0])[:MOST_OTHERS])
+
+    @property
+    def _name(self) -> str | None:
+        return self.winner.effect if self.winner else None
+
 
 def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     """Score, refit and cross-validate every candidate around one stage."""
@@ -85,7 +100,8 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
         return Outcome([])
     chance = _chance(context, screen, scores)
     refits = _refits(context, stage, scores)
-    least = min(f.cost for f in refits)
+    believed = [f.cost for s, f in zip(scores, refits, strict=False) if objection(f, s.effect.name) is None]
+    least = min(believed, default=np.inf)
     found: list[Candidate] = []
     for score, fitted in zip(scores, refits, strict=False):
         share = 1.0 - fitted.cost / stage.fit.cost
@@ -120,8 +136,8 @@ def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
     def draw(rng: np.random.Generator) -> list[np.ndarray]:
         model = screen.fit.model
         return [
-            replica(r, model, s, rng) - (r.y - e)
-            for r, s, e in zip(context.records, screen.fit.starts, screen.fit.residuals, strict=True)
+            r.weights * (replica(r, model, s, rng) - (r.y - e))
+            for r, s, e in zip(context.records, screen.fit.starts, screen.fit.errors(context.records), strict=True)
         ]
 
     sensors = all(r.quantum > 0 for r in context.records)
@@ -141,7 +157,14 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> list[Fit
         anew = each(lambda s: fit_anew(stage.fit, s, context.records), worth)
         fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
     near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(g.cost for g in fits)]
-    full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records, search=context.whole), near)
+    far = LOST * stage.floor_rms if context.whole else np.inf
+
+    def carried(i: int) -> Fit:
+        name, trials = worth[i].effect.name, worth[i].raw or worth[i].trials
+        begins = [stage.fit.model.with_effect(name, trial) for trial in trials[:WINDOW_STARTS]]
+        return full_fit(fits[i], worth[i].effect, context.records, search=context.whole, lost_rms=far, trials=begins)
+
+    full = each(carried, near)
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
     return fits

@@ -101,7 +101,7 @@ class Screen:
         self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
         self._base = [free_output(r, flat, s) for r, s in zip(records, fit.starts, strict=True)]
         self._nuisances = [np.linalg.qr(n)[0] if n.shape[1] else n for n in self.coarse(fit.nuisances)]
-        jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((fit.samples, 0))
+        jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((sum(self.lengths), 0))
         norms = np.linalg.norm(jacobian, axis=0)
         self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
         self.residual = self.clean([r for r in fit.residuals])
@@ -130,7 +130,10 @@ class Screen:
 
     def _change(self, effect: Effect, trial: Trial) -> list[np.ndarray]:
         flat = Flat.of(self.fit.model.with_effect(effect.name, trial))
-        return [free_output(r, flat, s) - b for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)]
+        return [
+            r.weights * (free_output(r, flat, s) - b)
+            for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
+        ]
 
     def _cleaned(self, change: Sequence[np.ndarray]) -> np.ndarray:
         cleaned = self.clean(change)

@@ -10,9 +10,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.choose import folds, indistinguishable, objection, searched_again
+from fiohost.discover.choose import folds, indistinguishable, objection
 from fiohost.discover.evidence import dependences
-from fiohost.discover.round import LEAST_CV_GAIN, LEAST_OF_REST, Candidate, Context, Outcome, Progress, run_round
+from fiohost.discover.refit import searched_again
+from fiohost.discover.round import (
+    AS_GOOD_FITTED,
+    LEAST_CV_GAIN,
+    LEAST_OF_REST,
+    Candidate,
+    Context,
+    Outcome,
+    Progress,
+    run_round,
+)
 from fiohost.discover.stage import Stage, judged
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.record import Record
@@ -30,7 +40,8 @@ LEAST_OF_ALL = 0.5
 class Step:
     """One effect that was added, what spoke for it, and the names it cannot be told from.
 
-    ``rival_models`` are the fitted models of those that only this data cannot tell from it.
+    ``rival_models`` are the fitted models of those that only this data cannot tell from it; ``others`` all that could
+    have been added in its place, and ``base_cost`` the left-out error they began from.
     """
 
     effect: str
@@ -38,6 +49,8 @@ class Step:
     evidence: dict[str, object]
     indistinguishable_from: tuple[str, ...]
     rival_models: Mapping[str, Model] = field(default_factory=dict)
+    others: tuple[Candidate, ...] = ()
+    base_cost: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -97,14 +110,56 @@ class Search:
         }
 
     def prune(self, fitted: Fit, declared: Model) -> Fit:
-        """Delete every added effect that left-out records do not miss once the others are there."""
-        for name in [e for e in fitted.model.effects[:-1] if e not in declared.effects]:
+        """Delete every added effect that left-out records do not miss once the others are there, fitted again.
+
+        The newest too where it is not the only one: it may have helped the others out of where they were caught.
+        """
+        added = [e for e in fitted.model.effects if e not in declared.effects]
+        for name in added if len(added) > 1 else []:
             smaller = fit(fitted.model.without([name]), self.records, starts=fitted.starts)
             whole, less = self.context.validate(fitted), self.context.validate(smaller)
             if less.cost <= whole.cost * (1.0 + 0.5 * LEAST_CV_GAIN):
                 self.context.say(f"{name} is no longer needed")
                 fitted = smaller
         return fitted
+
+    def swap(self, fitted: Fit, steps: Sequence[Step]) -> tuple[Fit, list[Step]]:
+        """Put in the place of every earlier effect what could have been added then, where that fits as well and is
+        simpler, or fits better: what a later effect explains was mistaken for a part of it.
+        """
+        kept = list(steps)
+        for i, step in enumerate(steps):
+            if step.effect not in fitted.model.effects:
+                continue
+            for other in step.others:
+                if other.validated is None or other.effect in fitted.model.effects:
+                    continue
+                values = {k: v for k, v in other.validated.fit.model.values.items() if k.startswith(other.effect + ".")}
+                swapped = fitted.model.with_swapped(step.effect, other.effect, values)
+                rival = fit(swapped, self.records, starts=fitted.starts)
+                if not better(rival, other.effect, fitted, step.effect):
+                    continue
+                self.context.say(f"{other.effect} takes the place of {step.effect}")
+                evidence = {
+                    **step.evidence,
+                    "residual_power_removed": other.score,
+                    "cross_validated_error_ratio": float(np.sqrt(other.validated.cost / step.base_cost)),
+                    "in_place_of": step.effect,
+                }
+                fitted = rival
+                kept[i] = Step(other.effect, self.stage(other.validated.fit), evidence, named_with(other.effect, {}))
+                break
+        return fitted, kept
+
+
+def better(rival: Fit, rival_name: str, fitted: Fit, name: str) -> bool:
+    """Whether a fit with another effect is to be preferred: clearly closer, or as close and simpler or commoner."""
+    if rival.cost > AS_GOOD_FITTED * fitted.cost or objection(rival, rival.model.effects[-1]):
+        return False
+    if fitted.cost > AS_GOOD_FITTED * rival.cost:
+        return True
+    ranks = [(len(effect(n).parameters), effect(n).commonness) for n in (rival_name, name)]
+    return ranks[0] < ranks[1]
 
 
 def named_with(winner: str, rivals: Mapping[str, Model]) -> tuple[str, ...]:
@@ -150,7 +205,17 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         if winner is None or winner.validated is None:
             break
         say(f"adding {winner.effect}")
-        grown = search.settled(search.prune(winner.validated.fit, model))
+        pruned = search.prune(winner.validated.fit, model)
+        if winner.effect not in pruned.model.effects:
+            again = search.settled(pruned)
+            stage = again if again.fit.cost < stage.fit.cost else stage
+            steps = [s for s in steps if s.effect in stage.fit.model.effects]
+            steps = [*steps[:-1], replace(steps[-1], stage=stage)]
+            unneeded = "is not missed by left-out records once the rest is fitted again"
+            offered = [replace(c, rejected_because=unneeded) if c.effect == winner.effect else c for c in offered]
+            break
+        pruned, steps = search.swap(pruned, steps)
+        grown = search.settled(pruned)
         why = _reproach(stage, grown) if steps else None
         if why:
             say(f"{winner.effect} {why}: not added")
@@ -162,7 +227,8 @@ def select(search: Search, model: Model, from_file: bool) -> Found:
         rivals = search.rivals(outcome)
         stage = grown
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
-        steps.append(Step(winner.effect, stage, evidence, named_with(winner.effect, rivals), rivals))
+        named = named_with(winner.effect, rivals)
+        steps.append(Step(winner.effect, stage, evidence, named, rivals, outcome.able_beside_winner, outcome.base_cost))
     if steps and not stage.at_floor and _explained_share(declared, stage) < LEAST_OF_ALL:
         say("what was added explains less than half: taken back")
         return Found((declared,), (), tuple(_taken_back(steps, offered)))

@@ -37,9 +37,10 @@ class Stage:
 
     @property
     def floor_rms(self) -> float:
-        """Free-run floor of all records together; infinite where there is none."""
-        pooled = pool([f.errors for f in self.floors])
-        return pooled.free_run_rms if pooled and pooled.free_run_rms > 0 else float("inf")
+        """Free-run floor of all records together, weighted as a fit weighs them; infinite where there is none."""
+        squares = [f.weighted_square for f in self.floors]
+        weight = sum(j.weight for j in self.judgements)
+        return float(np.sqrt(sum(squares) / weight)) if sum(squares) > 0.0 else float("inf")
 
     @property
     def powers(self) -> tuple[float, float]:
@@ -68,12 +69,13 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
     """Judge a fit on whole records; it may have been fitted to pieces of them."""
     judgements = each(lambda r: judge(r, fitted.model), records)
     names = [r.name for r in records]
-    models: list[Model] = []
-    for count in (REPLICAS, MORE_REPLICAS):
-        models += replica_models(fitted, fitted_records, rng, count)
-        found = floors(records, fitted.model, judgements, models, rng)
+    models = replica_models(fitted, fitted_records, rng)
+    found = floors(records, fitted.model, judgements, models, rng)
+    above = excesses(names, judgements, found)
+    near = near_limit(above)
+    scattered = replica_models(fitted, fitted_records, rng, MORE_REPLICAS if near else REPLICAS, anywhere=True)
+    if near:
+        # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
+        found = floors(records, fitted.model, judgements, [*models, *scattered], rng)
         above = excesses(names, judgements, found)
-        if not near_limit(above):
-            break
-    scattered = replica_models(fitted, fitted_records, rng, anywhere=True)
-    return Stage(fitted, tuple(models[:REPLICAS]), tuple(scattered), tuple(judgements), tuple(found), tuple(above))
+    return Stage(fitted, tuple(models), tuple(scattered[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))

@@ -45,8 +45,9 @@ class Fit:
     """A fitted model with what is needed to judge it.
 
     ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)): measured minus simulated, and the
-    derivative of the simulation by each free parameter with the initial state projected out. ``nuisances`` are the
-    derivatives by the initial state, ``starts`` the records' initial angles and speeds.
+    derivative of the simulation by each free parameter with the initial state projected out, both times the records'
+    weights where whole runs are fitted. ``nuisances`` are the derivatives by the initial state, ``starts`` the records'
+    initial angles and speeds, ``samples`` the number of readings, weighted likewise.
     """
 
     model: Model
@@ -57,14 +58,15 @@ class Fit:
     nuisances: tuple[np.ndarray, ...]
     starts: tuple[Start, ...]
     converged: bool
-
-    @property
-    def samples(self) -> int:
-        return sum(len(r) for r in self.residuals)
+    samples: float
 
     @property
     def rms(self) -> float:
-        return float(np.sqrt(self.cost / max(self.samples, 1)))
+        return float(np.sqrt(self.cost / max(self.samples, 1.0)))
+
+    def errors(self, records: Sequence[Record]) -> list[np.ndarray]:
+        """Measured minus simulated (n) of each of the ``records`` that were fitted as whole runs, unweighted."""
+        return [e / r.weights for e, r in zip(self.residuals, records, strict=True)]
 
 
 @dataclass
@@ -142,7 +144,7 @@ class _Problem:
         flat = self.flat(p).from_zero(start.zero)
         if self.windows:
             return window_residuals(record, flat, free_states(record, flat, start))
-        return np.asarray(record.y - free_output(record, flat, start))
+        return np.asarray(record.weights * (record.y - free_output(record, flat, start)))
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
         return [self.residual(r, s, point.p) for r, s in zip(self.records, point.starts, strict=True)]
@@ -164,7 +166,8 @@ class _Problem:
         """Derivatives (n, q) by what is free at a record's start; windows leave but its own zero."""
         flat = self.flat(p)
         if not self.windows:
-            return _start_columns(record, flat, start, record.y - residual)
+            columns = _start_columns(record, flat, start, record.y - residual / record.weights)
+            return np.asarray(record.weights[:, None] * columns)
         if not has_own_zero(record, flat):
             return np.empty((len(residual), 0))
         turned, step = _turned(flat, start, ZERO_STEP)
@@ -352,6 +355,7 @@ def fit(
         nuisances=tuple(nuisances),
         starts=tuple(point.starts),
         converged=converged,
+        samples=float(sum(len(r) if windows else r.weights @ r.weights for r in records)),
     )
 
 

@@ -241,7 +241,7 @@ def _from_duty(logs: Sequence[Log], kp: float | None) -> Identification:
     parameters = {**_pair((GAIN, TAU), motor, np.diag(cov)), **_pair((ZETA, OMEGA), loop, variances)}
     curves = [
         Curve(r.name, log.time_s, r.y, r.y - left, log.columns.get("ref_deg"))
-        for log, r, left in zip(logs, records, found.residuals, strict=True)
+        for log, r, left in zip(logs, records, found.errors(records), strict=True)
     ]
     notes = [f"zeta and wn are those of a loop with kp = {kp:g} %/deg around this motor"]
     return Identification("pem", "duty", kp, parameters, *_errors(curves), curves, notes=notes)

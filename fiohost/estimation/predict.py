@@ -39,6 +39,10 @@ DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
 LASH_LOOKS = 40
 END_SLACK_COUNTS = 3.0
 LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+# Up to this span of the residual the midpoint of its bounds says best where within its count a shaft stood.
+WITHIN_COUNTS = 1.5
+# Warmth is looked for at so many levels from so little, then as close as this share of the distance between two.
+WARMTH_LEAST, WARMTH_LOOKS, WARMTH_CLOSE = 1e-3, 10, 1e-2
 # A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
 ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
 # Around the best of them, in degrees of the phase: how far, from near, how close, and the most looks there.
@@ -270,8 +274,9 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, ne
     """How a record begins, from its first second: least squares for angle and speed, the best side of any gap.
 
     The speed is zero where the shaft begins at rest. A count bounds the angle on both sides, so where the model stays
-    within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate). What
-    the first second cannot show, the warmth and where a log's own zero is, is from the whole record; ``near`` is how
+    about within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate):
+    of a shaft that soon rests, the mean would be that one angle's place within its count. What the first second cannot
+    show, the warmth and where a log's own zero is, is from the whole record; ``near`` is how
     the same shaft began, as far as it is known.
     """
     data = record.y if y is None else y
@@ -291,7 +296,7 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, ne
     play, drift = best_lash(flat, cost)
     residuals, shifts, speeds = attempt(play, drift)
     found = angle + float(shifts[0])
-    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= record.quantum:
+    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= WITHIN_COUNTS * record.quantum:
         found += 0.5 * float(residuals.max() + residuals.min())
     start = Start(found, float(speeds[0]), play, drift, zero=zero)
     return start._replace(warmth=initial_warmth(record, flat, start, data)) if flat.warms else start
@@ -299,13 +304,22 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, ne
 
 def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
     """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it."""
+    weights = record.weights**2
 
     def cost(warmth: float) -> float:
         residual = y - free_output(record, flat, start._replace(warmth=warmth))
-        return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
+        offset = float(np.average(residual, weights=weights)) if record.kind == ANGLE else 0.0
+        return float(np.sum(weights * (residual - offset) ** 2))
 
-    found = minimize_scalar(cost, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3, "maxiter": 20})
-    return float(found.x) if found.fun < cost(0.0) else 0.0
+    looks = np.concatenate(([0.0], np.geomspace(WARMTH_LEAST, 1.0, WARMTH_LOOKS)))
+    costs = [cost(float(w)) for w in looks]
+    best = int(np.argmin(costs))
+    low, high = looks[max(best - 1, 0)], looks[min(best + 1, len(looks) - 1)]
+    xatol = WARMTH_CLOSE * float(high - low)
+    found = minimize_scalar(
+        cost, bounds=(float(low), float(high)), method="bounded", options={"xatol": xatol, "maxiter": 20}
+    )
+    return float(found.x) if found.fun < costs[best] else float(looks[best])
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

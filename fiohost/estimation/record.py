@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST_SAMPLES = 5
 SHORTEST = 20
+# Standstill of one reading counts for no more than so much motion.
+REST_COUNTS_S = 0.05
 BRAKE = 2
 # A linear axis is held in millimetres: what is sized for degrees (trials, bounds, steps of the library) then fits it.
 HELD_IN = {"m": "mm", "m/s": "mm/s"}
@@ -30,7 +32,7 @@ class Record:
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero.
+    where on the bench's turn its angle is zero. ``weights`` (n) are by what whole runs weigh the readings' errors.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Record:
     rotary: bool
     own_zero: bool = False
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    weights: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.y)
@@ -67,6 +70,20 @@ def cut_windows(times_s: np.ndarray, length_s: float = 1.0) -> np.ndarray:
     if len(edges) > 2 and times_s[-1] - times_s[edges[-2]] < 0.5 * length_s:
         edges = np.delete(edges, -2)
     return edges.astype(np.int64)
+
+
+def rest_weights(y: np.ndarray, kind: int, quantum: float, sample_time_s: float) -> np.ndarray:
+    """Square roots of weights (n) by which all standstill at one reading counts as ``REST_COUNTS_S`` of motion.
+
+    Readings of a shaft at rest err alike, by where within its count it stands: together they are one piece of evidence,
+    and least squares that take them for many pull the model to the middle of that count.
+    """
+    if kind != ANGLE or quantum <= 0.0:
+        return np.ones(len(y))
+    edges = np.flatnonzero(np.diff(y)) + 1
+    lengths = np.diff(np.concatenate(([0], edges, [len(y)])))
+    most = max(REST_COUNTS_S / sample_time_s, 1.0)
+    return np.asarray(np.repeat(np.sqrt(np.minimum(most / lengths, 1.0)), lengths))
 
 
 def make_record(
@@ -121,6 +138,7 @@ def make_record(
         rotary=rotary,
         own_zero=own_zero,
         windows=cut_windows(times),
+        weights=rest_weights(output, kind, quantum, step),
     )
 
 

@@ -52,14 +52,20 @@ LEVEL = "coulomb_friction.level_pct"
 class Found:
     """All that was identified on one log, by method; the last two are of simulated loops.
 
-    A method that finds nothing is left out, with a sentence in ``said``.
+    ``left_deg`` (n) is what the fit with friction leaves of the log. A method that finds nothing is left out, with a
+    sentence in ``said``.
     """
 
     measured: Mapping[str, Identification]
     said: Sequence[str]
     friction: Fit
+    left_deg: np.ndarray
     with_friction: Mapping[str, Identification]
     without: Mapping[str, Identification]
+
+    @property
+    def left_rms_deg(self) -> float:
+        return float(np.sqrt(np.mean(self.left_deg**2)))
 
 
 def identification(bench: Bench, folder: Path, profile: BenchProfile | None = None) -> LabResult:
@@ -73,7 +79,8 @@ def identification(bench: Bench, folder: Path, profile: BenchProfile | None = No
     if not measured:
         raise DataError(f"neither method identifies this loop: {'; '.join(said)}")
     with_friction, without = _simulated(log, friction.model, control), _simulated(log, linear, bare)
-    found = Found(measured, said, friction, with_friction, without)
+    left_deg = friction.errors([record_from_log(log)])[0]
+    found = Found(measured, said, friction, left_deg, with_friction, without)
     models = {"model with friction": friction.model}
     models |= {f"model of {method}": one.model for method, one in measured.items()}
     files = {"log": str(log.path)}
@@ -136,10 +143,10 @@ def _result(
     gain, tau = estimated[f"linear.{GAIN}"], estimated[f"linear.{TAU}"]
     zeta, omega = closed_loop(gain.value, tau.value, KP)
     rows: list[Sequence[Cell]] = [_row(method, one) for method, one in found.measured.items()]
-    fit_pct = 100.0 * (1.0 - found.friction.rms / float(np.std(log.output)))
+    fit_pct = 100.0 * (1.0 - found.left_rms_deg / float(np.std(log.output)))
     rows.append(
         ("with friction", gain.value, gain.half_width, tau.value, tau.half_width, zeta, omega,
-         fit_pct, found.friction.rms)
+         fit_pct, found.left_rms_deg)
     )  # fmt: skip
     columns = ("method", "K (deg/s/%)", "+-", "tau (s)", "+-", "zeta", "omega_n (rad/s)", "fit (%)", "rms (deg)")
     simulated: list[Sequence[Cell]] = [
@@ -155,7 +162,7 @@ def _result(
         "deadband_share": known.share,
         **{method: one.to_json() for method, one in found.measured.items()},
         "with_friction": {
-            "model": MODEL, "rms_deg": found.friction.rms,
+            "model": MODEL, "rms_deg": found.left_rms_deg,
             "parameters": {name: estimate.to_json() for name, estimate in estimated.items()},
         },
         "simulated_with_friction": {name: _brief(one) for name, one in found.with_friction.items()},
@@ -212,7 +219,7 @@ def _answers(
     errors = " and ".join(f"{one.rms_deg:.2g} deg ({method})" for method, one in found.measured.items())
     why = (
         f"The same log fitted with dry friction gives K = {gain:.3g} deg/s per %, tau = {tau:.3g} s and friction "
-        f"{level:.2f} %, of which the precompensator leaves {left:.2f} %; its error is {found.friction.rms:.2g} deg "
+        f"{level:.2f} %, of which the precompensator leaves {left:.2f} %; its error is {found.left_rms_deg:.2g} deg "
         f"rms over the whole run, that of the linear loops {errors}. "
     )
     for method in METHODS if explained(found.friction) else ():
@@ -294,7 +301,7 @@ def _plot(log: Log, found: Found) -> Figure:
 
     begin = max(one.curves[0].time_s[0] for one in found.measured.values())
     inside = log.time_s >= begin - 1e-9
-    simulated = (log.output - found.friction.residuals[0])[inside]
+    simulated = (log.output - found.left_deg)[inside]
     fitted = Curve("", log.time_s[inside], log.output[inside], simulated, log.columns["ref_deg"][inside])
     curves = {f"{name}: tau = {one.value(TAU):.3g} s": one.curves[0] for name, one in found.measured.items()}
     tau = found.friction.model.number(f"linear.{TAU}")

@@ -25,6 +25,7 @@ from fiohost.motor.state import (
     GAIN,
     HEATING,
     HEATING_ON,
+    RISE,
     STANDBY,
     TAU,
     WARMING,
@@ -144,8 +145,13 @@ def deflect(state, turn, p):  # type: ignore[no-untyped-def]
 def relax(state, omega, drive, dt, p, on):  # type: ignore[no-untyped-def]
     """Carry the warmth of winding and bearings over a step at about ``omega`` under a ``drive`` in percent."""
     if on[HEATING_ON]:
-        warm = (drive / 100.0) ** 2
-        state[WINDING] = warm + (state[WINDING] - warm) * exp(-dt / p[HEATING])
+        # The losses are those of the hot winding; its resistance is taken to follow within the step.
+        cold_loss = (drive / 100.0) ** 2
+        falls = 1.0 - p[RISE] * cold_loss
+        if abs(falls) * dt < 1e-9 * p[HEATING]:
+            state[WINDING] += cold_loss * dt / p[HEATING]
+        else:
+            state[WINDING] = cold_loss / falls + (state[WINDING] - cold_loss / falls) * exp(-falls * dt / p[HEATING])
     if on[WARMING_ON]:
         running = 1.0 if omega != 0.0 else 0.0
         state[BEARING] = running + (state[BEARING] - running) * exp(-dt / p[WARMING])

@@ -160,6 +160,12 @@ class Model:
         base = self.without(effect(name).replaces)
         return replace(base, effects=(*base.effects, name), values={**base.values, **added})
 
+    def with_swapped(self, name: str, other: str, values: Mapping[str, Value]) -> Model:
+        """A copy with one effect in the place of another; ``values`` are its parameters' full names."""
+        base = self.without([name])
+        effects = tuple(other if e == name else e for e in self.effects)
+        return replace(base, effects=effects, values={**base.values, **values})
+
     def without(self, names: Iterable[str]) -> Model:
         """A copy with some effects taken out."""
         gone = set(names)

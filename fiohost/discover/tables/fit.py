@@ -276,6 +276,7 @@ def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray], de
         nuisances=tuple(np.split(nuisance, edges)),
         starts=(),
         converged=True,
+        samples=float(sum(len(r) for r in residuals)),
         constants=tuple(tuple(c) for c in constants),
         predicted=tuple(predicted),
     )

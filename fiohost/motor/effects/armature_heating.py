@@ -11,7 +11,8 @@ EFFECTS = (
     Effect(
         name="armature_heating",
         summary="resistance follows the winding's warmth",
-        equation="current = (duty - emf) / (1 + rise_ratio * h); dh/dt = ((current / stall)**2 - h) / time_constant",
+        equation="current = (duty - emf) / (1 + rise_ratio * h); "
+        "dh/dt = ((current / stall)**2 * (1 + rise_ratio * h) - h) / time_constant",
         acts_on="current",
         stage=35,
         substep_s=0.0025,
