@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bench_data import measure, multisine, steps, suite, truth_model
@@ -13,8 +15,9 @@ from fiohost.discover.floor import repeats
 from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
 from fiohost.errors import DataError
-from fiohost.estimation.fit import fit_from_scratch
+from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import free_run
 
 DECLARED = Model.parse("linear+coulomb_friction")
 
@@ -68,6 +71,19 @@ def test_an_effect_outside_the_library_is_not_explained_away() -> None:
     named = to_json(found)["residual"]
     assert not named["white"]
     assert named["tests"]["above_floor"]
+
+
+def test_an_effect_mistaken_for_a_part_of_another_gives_way_to_it() -> None:
+    """The first round takes what two effects do together for one with more freedom; the second makes it simple."""
+    values = {"input_deadband.level_pct": 6.0, "shaft_compliance.resonance_hz": 6.0}
+    values |= {"shaft_compliance.damping_ratio": 0.08, "shaft_compliance.inertia_ratio": 0.45}
+    truth = truth_model(("coulomb_friction", "input_deadband", "shaft_compliance"), values)
+    found = diagnose_records(suite(truth, 5), (), DECLARED)
+    assert sorted(s.effect for s in found.steps) == ["input_deadband", "shaft_compliance"]
+    taken = [s for s in found.steps if "in_place_of" in s.evidence]
+    for step in taken:
+        assert step.evidence["in_place_of"] not in found.final.fit.model.effects
+        assert step.effect in step.stage.fit.model.effects
 
 
 def test_held_out_records_change_nothing_but_the_report() -> None:
@@ -151,3 +167,36 @@ def test_a_fit_on_everything_is_the_same_whatever_the_order_of_the_records() -> 
     two = fit_from_scratch(DECLARED, records[::-1]).model
     for key in one.values:
         assert one.number(key) == pytest.approx(two.number(key), rel=1e-4)
+
+
+def test_standstill_pulls_no_model_to_the_middle_of_a_count() -> None:
+    """Of shafts that rest most of the time least squares that take every reading at rest for one know much less."""
+    truth = truth_model()
+    rng = np.random.default_rng(3)
+    names = ("linear.gain_deg_s_per_pct", "linear.tau_s", "coulomb_friction.level_pct")
+    errors = []
+    for _ in range(8):
+        levels, width = rng.uniform(15.0, 60.0, 8) * np.tile((1.0, -1.0), 4), int(rng.integers(15, 60))
+        duty = np.concatenate([np.concatenate((np.full(width, level), np.zeros(400))) for level in levels])
+        record = measure(truth, duty, rng)
+        assert np.mean(record.weights < 1.0) > 0.8
+        found = [fit(truth, [r]).model for r in (record, replace(record, weights=np.ones(len(record))))]
+        errors.append([[model.number(n) / truth.number(n) - 1.0 for n in names] for model in found])
+    weighted, plain = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert np.all(weighted < 0.6 * plain)
+    assert weighted[0] < 1e-3
+
+
+def test_a_start_that_soon_rests_is_found_within_its_count() -> None:
+    """A model off by a little in its last digits must not move the angle to where the resting reading is the mean."""
+    truth = truth_model()
+    rng = np.random.default_rng(8)
+    off = truth.with_values({"linear.gain_deg_s_per_pct": 10.6 * 1.001})
+    errors = []
+    for _ in range(12):
+        record = measure(truth, np.concatenate((np.full(30, 40.0), np.zeros(370))), rng)
+        angle = judge(record, off).start.angle
+        low = np.max(record.y - free_run(truth, record.excitation, 0.0))
+        high = np.min(record.y + record.quantum - free_run(truth, record.excitation, 0.0))
+        errors.append(angle + 0.5 * record.quantum - 0.5 * (low + high))
+    assert np.abs(errors).max() < 0.2 * 0.5
