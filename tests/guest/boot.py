@@ -68,6 +68,7 @@ def main() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="WORDS", help="of the test: steps with these words in line or name")
     parser.add_argument("--run", metavar="COMMAND", help="in place of the test: run this in the guest, in the checkout")
     parser.add_argument(
         "--board", metavar="OPTIONS", help="with --run: serve a board (python -m firmware_model OPTIONS)"
@@ -134,8 +135,8 @@ def _script(environment: dict[str, str], asked: argparse.Namespace) -> str:
     """What the guest's shell runs."""
     path = f"{Path(sys.executable).parent}:{PATH}"
     lines = [f"export {name}={shlex.quote(value)}" for name, value in {**environment, "PATH": path}.items()]
-    arguments = [] if asked.run is None else ["--run", asked.run]
-    arguments += [] if asked.board is None else ["--board", asked.board]
+    options = {"--only": asked.only, "--run": asked.run, "--board": asked.board}
+    arguments = [word for name, value in options.items() if value is not None for word in (name, value)]
     lines += [f"cd {shlex.quote(str(ROOT))}", shlex.join([sys.executable, str(INSIDE), *arguments])]
     return "\n".join(lines) + "\n"
 

@@ -21,6 +21,11 @@ class StepFailed(Exception):
     """Something was not as it must be; the text says what."""
 
 
+def check(true: object, what: str) -> None:
+    if not true:
+        raise StepFailed(what)
+
+
 class Child:
     """A command in a process of its own. ``lines``: what it said, each with the (monotonic) time when it was read."""
 

@@ -53,17 +53,18 @@ def board(line: Line, *options: str) -> Iterator[Child]:
         print(f"  (board on {line.device}: {served.said().splitlines()[-1]}; CPU {served.cpu_s:.1f} s)", flush=True)
 
 
-def fiohost(line: Line, *arguments: str, framed: bool = False) -> Child:
-    """The command ``fiohost`` on that line, the target at the end of its arguments."""
+def fiohost(line: Line | None, *arguments: str, framed: bool = False) -> Child:
+    """The command ``fiohost``, on a line with the target at the end of its arguments."""
 
-    def run(words: Sequence[str]) -> object:
+    def run(words: Sequence[str]) -> None:
         if line is LIBUSB:
             sys.modules["hidraw"] = None  # type: ignore[assignment]  # as where hidapi has no such module
         from fiohost.cli.main import main
 
-        return main(list(words))
+        main(list(words))
 
-    return Child("fiohost", run, [*arguments, "--target", line.framed if framed else line.target])
+    target = [] if line is None else ["--target", line.framed if framed else line.target]
+    return Child("fiohost", run, [*arguments, *target])
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ def read_log(path: Path) -> Record:
     text = path.read_text()
     if not text.endswith("\n"):
         raise StepFailed(f"the log {path.name} ends in mid-line")
-    head, columns, rows = {}, [], []
+    head: dict[str, str] = {}
+    columns: list[str] = []
+    rows: list[dict[str, float]] = []
     for text_line in text.splitlines():
         if text_line.startswith("# "):
             key, _, value = text_line[2:].partition(": ")
@@ -108,10 +111,10 @@ def first_gone_s(trace: Path) -> float:
     time the file carries in jiffies.
     """
     events = [json.loads(one) for one in trace.read_text().splitlines()]
-    gone = [one["t"] for one in events if one.get("dir") == "gone"]
+    gone = [float(one["t"]) for one in events if one.get("dir") == "gone"]
     if not gone:
         raise StepFailed(f"the trace {trace.name} does not say 'gone'")
-    return trace.stat().st_mtime + JIFFY_S - (events[-1]["t"] - gone[0])
+    return trace.stat().st_mtime + JIFFY_S - (float(events[-1]["t"]) - gone[0])
 
 
 def watch(line: Line, pos_at: Callable[[bytes], int | None], seconds: float) -> list[tuple[float, int]]:

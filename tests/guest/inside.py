@@ -8,43 +8,30 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # an installed fiohost or this checkout: the same text
 
-from firmware_model import gadget
+from plug import wait_for_nodes
 
-NODES = ("/dev/hidg0", "/dev/ttyGS0", "/dev/hidraw0", "/dev/ttyACM0")
-PLUG_LIMIT_S = 20.0
+from firmware_model import gadget
 
 
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--run", metavar="COMMAND")
     parser.add_argument("--board", metavar="OPTIONS")
+    parser.add_argument("--only", metavar="WORDS", default="")
     asked = parser.parse_args()
     controller = gadget.up()
     wait_for_nodes()
-    print(
-        f"guest: {Path('/proc/version').read_text().split('(')[0].strip()}, gadget on {controller}, "
-        f"{time.monotonic():.0f} s after its start",
-        flush=True,
-    )
+    kernel = Path("/proc/version").read_text().partition(" (")[0]
+    print(f"guest: {kernel}, gadget on {controller}", flush=True)
     if asked.run is not None:
         return _run(asked.run, asked.board)
     import steps
 
-    return steps.all_of_them()
-
-
-def wait_for_nodes() -> None:
-    """Until both ends of the cable are there. Raises TimeoutError."""
-    deadline_s = time.monotonic() + PLUG_LIMIT_S
-    while missing := [node for node in NODES if not Path(node).exists()]:
-        if time.monotonic() > deadline_s:
-            raise TimeoutError(f"plugged in, but {', '.join(missing)} did not come in {PLUG_LIMIT_S:g} s")
-        time.sleep(0.02)
+    return steps.all_of_them(asked.only)
 
 
 def _run(command: str, board: str | None) -> int:
