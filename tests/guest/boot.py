@@ -93,7 +93,7 @@ def _guest(qemu: str, kernel: Path, work: Path, asked: argparse.Namespace) -> in
     }
     _fill_caches(environment)
     (out / "command").write_text(_script(environment, asked))
-    command = [qemu, *(REAL_TIME if asked.real_time else COUNTED), "-cpu", "max", "-m", "2G", "-nodefaults"]
+    command = [qemu, *(REAL_TIME if asked.real_time else COUNTED), "-cpu", "Nehalem", "-m", "2G", "-nodefaults"]
     command += ["-no-reboot", "-display", "none", "-kernel", str(kernel), "-initrd", str(work / "initrd")]
     # Debian's kernel has scripts as a module: it cannot begin with one
     command += ["-append", "console=ttyS0 panic=-1 mitigations=off tsc=reliable rdinit=/bin/busybox -- sh /init.sh"]

@@ -48,17 +48,17 @@ def unplugged(line: Line) -> tuple[Child, str]:
     child, path, trace = _running(line, "unplugged")
     began_s, began_clock_s = time.monotonic(), time.time()
     gadget.unplug()
-    check(child.wait() == 1, f"exit {child.code}: {child.said()[-300:]}")
+    child.wait()
+    replug()
+    check(child.code == 1, f"exit {child.code}: {child.said()[-300:]}")
     said = child.wait_line("MOTOR MAY BE RUNNING") - began_s
     noticed = first_gone_s(trace) - began_clock_s
     log = read_log(path)
     check(log.head["ending"].startswith("stopped: DisconnectedError"), f"the log's ending is {log.head['ending']!r}")
     check("tick_statistics" in log.head and len(log.rows) >= 300, "the log is not complete")
     check(noticed < GATE_S and said < GATE_S, f"noticed after {noticed:.3f} s, said after {said:.3f} s")
-    return (
-        child,
-        f"noticed within {1e3 * noticed:.0f} ms, said after {1e3 * said:.0f} ms; log complete, {len(log.rows)} rows",
-    )
+    times = f"noticed within {1e3 * noticed:.0f} ms, said after {1e3 * said:.0f} ms"
+    return child, f"{times}; log complete, {len(log.rows)} rows"
 
 
 def reconnected(line: Line) -> tuple[Child, str]:

@@ -57,7 +57,7 @@ def manual(line: Line) -> tuple[Child, str]:
 
 def deadband(line: Line) -> tuple[Child, str]:
     result = WORK / "deadband.json"
-    plot = ("--plot", str(WORK / "deadband.png"))
+    plot = ("--plot", str(WORK / "deadband.svg"))
     child = fiohost(line, "deadband", "--repeats", "1", *plot, "--json", str(result))
     check(child.wait() == 0, child.said()[-300:])
     found = json.loads(result.read_text())

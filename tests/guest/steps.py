@@ -87,7 +87,7 @@ def _import_everything() -> None:
 
     from firmware_model import Board, load_plant
 
-    pyplot.figure().savefig(WORK / "first.png")  # fonts and the like
+    pyplot.figure().savefig(WORK / "first.svg")  # fonts and the like
     for layout in ("assumed", "framed"):
         Board(load_plant("default"), layout=layout).step(None)
     print(f"guest: everything imported, {time.process_time():.1f} s of its CPU", flush=True)
