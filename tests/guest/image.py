@@ -10,6 +10,7 @@ import gzip
 import lzma
 import os
 import re
+import shutil
 import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -53,6 +54,8 @@ def fetch(folder: Path) -> Parts:
             _run(folder, "dpkg-deb", "-x", str(deb), name)
             deb.unlink()
             (folder / name / "unpacked").touch()
+    for old in set(folder.glob("linux-image-*")) - {folder / package[1]}:  # 400 MB each
+        shutil.rmtree(old, ignore_errors=True)
     return Parts(
         _one(folder / package[1], "vmlinuz-*"),
         _one(folder / package[1], "lib/modules/*"),

@@ -52,7 +52,8 @@ def manual(line: Line) -> tuple[Child, str]:
     check(log.head["ending"] == "complete", f"the log's ending is {log.head['ending']!r}")
     check(log.head.get("hid_backend", line.name).startswith(line.name), f"the line was {log.head.get('hid_backend')}")
     check(500.0 < turned < 1500.0, f"the shaft turned {turned:.0f} degrees")
-    return child, f"{len(log.rows)} rows of 600, {turned:.0f} deg; {log.head['tick_statistics'][:60]}"
+    late = log.head["tick_statistics"].split("; lateness")[0]
+    return child, f"{len(log.rows)} rows of 600, {turned:.0f} deg; {late}"
 
 
 def deadband(line: Line) -> tuple[Child, str]:
