@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boards import Receive, WatchedTransport, bench_on, rows_of
+from short_runs import plant_file
 
 from fiohost.bench.connect import connect
 from fiohost.bench.experiment import ControlSettings, Experiment
@@ -34,6 +35,7 @@ from fiohost.errors import (
     TelemetryTimeoutError,
     TransportError,
 )
+from fiohost.estimation.record import record_from_log
 from fiohost.wire.messages import Command
 
 STAIRS = Experiment("stairs", [Staircase(levels=(30.0, -30.0, 0.0), step_s=0.5, duration_s=3.0)])
@@ -105,6 +107,19 @@ def test_each_run_begins_at_rest_braked_with_its_own_time(tmp_path: Path) -> Non
     assert first.time_s[0] == second.time_s[0] == 0.0
     np.testing.assert_array_equal(second.output[:3], second.output[0])
     assert first.metadata["run_id"] == second.metadata["run_id"]
+    assert first.begins_at_rest
+    assert second.begins_at_rest
+
+
+def test_a_shaft_that_no_brake_holds_is_said_to_move(tmp_path: Path) -> None:
+    """A load beyond dry friction creeps on under brake: such a log does not begin at rest, and a fit must not take it
+    for one, however few counts its first samples show.
+    """
+    plant = plant_file(tmp_path, {"coulomb_Nm": 0.005}, {"constant_load": {"torque_Nm": 0.012}})
+    with connect(f"sim:{plant}") as bench:
+        log = bench.drive(20.0, 1.0)
+    assert log.begins_at_rest is False
+    assert not record_from_log(log).at_rest
 
 
 def test_the_time_of_the_bench_is_that_of_the_board_in_lock_step(tmp_path: Path) -> None:

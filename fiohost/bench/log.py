@@ -242,9 +242,9 @@ class Log:
         return int(self._number("duty_steps", 0.0, low=0.0, high=1e10, whole=True))
 
     @property
-    def begins_at_rest(self) -> bool:
-        """True where the bench waited for the shaft to stand still before the first row."""
-        return self.metadata.get("begins", "") == "at rest"
+    def begins_at_rest(self) -> bool | None:
+        """Whether the shaft stood still before the first row, for which the bench waits; None where nobody says."""
+        return {"at rest": True, "moving": False}.get(self.metadata.get("begins", ""))
 
     @property
     def pos_reset(self) -> bool:

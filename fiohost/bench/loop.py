@@ -158,9 +158,9 @@ class Bench:
         line.count_anew()
         try:
             with StopSignals() as stop, stop.hang_ups(), braked_after(line, stop, self.reconnect_s):
-                settle(line, stop)
+                at_rest = settle(line, stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
-                writer.bench_time_s = self._bench_time_s()
+                writer.begin(self._bench_time_s(), at_rest)
                 with stop.interruptible():
                     turns(line, program, writer, stop, progress, every)
             stop.check()  # a signal during the last brake is an end by signal too
@@ -226,7 +226,6 @@ class Bench:
             "command_delay_ticks": str(COMMAND_DELAY_TICKS),
             "counts_per_rev": str(self.counts_per_rev),
             "duty_steps": str(self.profile.duty_steps),
-            "begins": "at rest",
             "full_scale": "100",
             "full_scale_unit": "% duty",
             "host_version": __version__,

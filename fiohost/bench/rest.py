@@ -22,8 +22,9 @@ BRAKE_LIMIT_S = 1.0
 SILENT_TICKS = 3  # a target that takes one packet a step works off what is under way before it is sent more
 
 
-def settle(line: Line, stop: StopSignals) -> None:
-    """Brake until the shaft is at rest, at most for SETTLE_LIMIT_S; meanwhile the board's rate is looked at.
+def settle(line: Line, stop: StopSignals) -> bool:
+    """Brake until the shaft is at rest, at most for SETTLE_LIMIT_S: whether it came to rest. Meanwhile the board's rate
+    is looked at.
 
     Raises Stopped on a signal, TransportError for a board of another rate, and what :meth:`Line.tick` raises.
     """
@@ -44,9 +45,11 @@ def settle(line: Line, stop: StopSignals) -> None:
         last = reading.pos
         if quiet * sample_time_s >= REST_S and rate.is_right():
             break
-    settled = "at rest" if quiet * sample_time_s >= REST_S else "still moving under brake"
-    logger.info("%s after %.3f s at POS %d", settled, line.statistics.ticks * sample_time_s, last)
+    at_rest = quiet * sample_time_s >= REST_S
+    said = "at rest" if at_rest else "still moving under brake"
+    logger.info("%s after %.3f s at POS %d", said, line.statistics.ticks * sample_time_s, last)
     line.count_anew()
+    return at_rest
 
 
 @contextmanager

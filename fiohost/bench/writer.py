@@ -23,6 +23,7 @@ COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "ang
 _ENDING_BYTES = 240
 _STATISTICS_BYTES = 480  # of a bad line there is much to say
 _CLOCK_BYTES = 40
+_BEGINS_BYTES = 20
 _UNFINISHED = "unfinished (the host did not close this log)"
 
 
@@ -36,7 +37,8 @@ class LogWriter:
         self.path = Path(path) if path is not None else None
         self.rows = 0
         self._whole = 0  # bytes of the head and of whole rows
-        self.bench_time_s: float | None = None  # set once the run begins: time since the bench was opened
+        self._bench_time_s: float | None = None
+        self._begins = ""
         if self.path is not None and self.path.exists() and not self.path.is_file():
             kind = "a directory" if self.path.is_dir() else "not an ordinary file"
             raise LogError(f"cannot write the log {path}: it is {kind}; nothing was driven")
@@ -51,13 +53,24 @@ class LogWriter:
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
         self._ending_at = len("".join(head).encode())
-        head.append(_ending_lines(_UNFINISHED, "unknown", None))
+        head.append(self._late_lines(_UNFINISHED, "unknown"))
         head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
         try:
             self._write("".join(head).encode())
         except LogError:
             self._file.close()
             raise
+
+    def begin(self, bench_time_s: float, at_rest: bool) -> None:
+        """Say in the head that the run begins: time since the bench was opened, and whether the shaft stands still.
+
+        Raises LogError.
+        """
+        self._bench_time_s, self._begins = bench_time_s, "at rest" if at_rest else "moving"
+        try:
+            self._say(_UNFINISHED, "unknown")
+        except OSError as exc:
+            raise LogError(f"cannot write the log {self.path}: {exc.strerror}; nothing was driven") from exc
 
     def row(
         self,
@@ -86,13 +99,28 @@ class LogWriter:
             return
         self._closed = True
         try:
-            self._file.seek(self._ending_at)
-            self._file.write(_ending_lines(ending, statistics or f"{self.rows} ticks", self.bench_time_s).encode())
+            self._say(ending, statistics or f"{self.rows} ticks")
             if self.path is not None:
                 _sync(self._file)
                 self._file.close()
         except OSError as exc:
             raise LogError(f"cannot finish the log {self.path}: {exc.strerror}; its rows are written") from exc
+
+    def _say(self, ending: str, statistics: str) -> None:
+        """Write the lines of the head that are known late, and go back to the end of the file."""
+        self._file.seek(self._ending_at)
+        self._file.write(self._late_lines(ending, statistics).encode())
+        self._file.seek(0, io.SEEK_END)
+
+    def _late_lines(self, ending: str, statistics: str) -> str:
+        """The lines of fixed width (in bytes): how the run ended, when and how it had begun."""
+        clock = "" if self._bench_time_s is None else f"{self._bench_time_s:.6f}"
+        return (
+            _fixed(f"# ending: {ending}", _ENDING_BYTES)
+            + _fixed(f"# tick_statistics: {statistics}", _STATISTICS_BYTES)
+            + _fixed(f"# bench_time_s: {clock}", _CLOCK_BYTES)
+            + _fixed(f"# begins: {self._begins}", _BEGINS_BYTES)
+        )
 
     def text(self) -> str:
         """The whole log, of one kept in memory."""
@@ -137,16 +165,6 @@ def _sync(file: BinaryIO) -> None:
     except OSError as exc:
         if exc.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EROFS):  # pipes and some devices cannot be synced
             raise
-
-
-def _ending_lines(ending: str, statistics: str, bench_time_s: float | None) -> str:
-    """The lines of fixed width (in bytes) that are known at the end: how the run ended, and when it had begun."""
-    clock = "" if bench_time_s is None else f"{bench_time_s:.6f}"
-    return (
-        _fixed(f"# ending: {ending}", _ENDING_BYTES)
-        + _fixed(f"# tick_statistics: {statistics}", _STATISTICS_BYTES)
-        + _fixed(f"# bench_time_s: {clock}", _CLOCK_BYTES)
-    )
 
 
 def _fixed(line: str, size: int) -> str:

@@ -41,7 +41,7 @@ class Floor:
     def weighted_square(self) -> float:
         """Squared error of the free run as a fit weighs it, summed up; repeats that scatter more raise it alike."""
         over = self.errors.free_run_rms / max(_mean([d.errors for d in self.draws]).free_run_rms, 1e-300)
-        return float(np.mean([d.weighted_square for d in self.draws])) * over**2
+        return float(np.mean([d.weighed.square for d in self.draws])) * over**2
 
 
 def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
@@ -100,17 +100,21 @@ def _mean(draws: Sequence[Errors]) -> Errors:
 def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
     """The model that a fit to a replica would give, by one step: ``noises`` are the replica's residuals, one a record.
 
-    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it.
+    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. A moment stays:
+    it was searched, and its derivative says nothing of how far off it is.
     """
-    if not fitted.names:
+    parameters = [fitted.model.parameter(name) for name in fitted.names]
+    followed = [i for i, q in enumerate(parameters) if not (q.ragged and q.neutral is None)]
+    if not followed:
         return fitted.model
-    hessian = sum(c.T @ c for c in fitted.jacobians)
-    gradient = sum(c.T @ n for c, n in zip(fitted.jacobians, noises, strict=True))
+    columns = [c[:, followed] for c in fitted.jacobians]
+    hessian = sum(c.T @ c for c in columns)
+    gradient = sum(c.T @ n for c, n in zip(columns, noises, strict=True))
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
     values: dict[str, Value] = {}
-    for name, change in zip(fitted.names, step, strict=True):
-        parameter = fitted.model.parameter(name)
+    for i, change in zip(followed, step, strict=True):
+        name, parameter = fitted.names[i], parameters[i]
         values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
     return fitted.model.with_values(values)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from fiohost.discover.limit import Limit
-from fiohost.discover.metrics import WIDE, Judgement
+from fiohost.discover.metrics import WIDE, Judgement, weigh
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.stage import Stage
 from fiohost.discover.windowed import Windowed
@@ -54,9 +54,9 @@ class _Log:
         e, w, quantum = self.free + factor * free, self.windows + factor * windows, self.record.quantum
         edges = self.record.windows[:-1]
         figures: dict[str, Callable[[], float]] = {
-            "free_run_rms": lambda: float(np.sqrt(np.mean(e**2))),
+            "free_run_rms": lambda: weigh(self.record, e).rms,
             "window_rms": lambda: float(np.sqrt(np.mean(w**2))),
-            "bin_violation_pct": lambda: float(100.0 * np.mean(np.abs(e) > 0.5 * quantum)),
+            "bin_violation_pct": lambda: weigh(self.record, e).outside_pct or 0.0,
             "wide_windows_pct": lambda: float(
                 100.0 * np.mean(np.maximum.reduceat(w, edges) - np.minimum.reduceat(w, edges) > WIDE * quantum)
             ),

@@ -36,19 +36,45 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """A model on one record: the figures and what they were computed from, each array (n).
+class Weighed:
+    """A free run as a fit weighs it, the angle within its first count free: what verdicts and searches go by.
 
-    ``weighted_square`` is the squared error of the free run as a fit weighs it, summed up, ``weight`` that of ones.
+    ``square`` is the squared error summed up, ``weight`` that of ones, ``outside_pct`` the share beyond half a count.
     """
+
+    square: float
+    weight: float
+    outside_pct: float | None
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.square / self.weight))
+
+
+def weigh(record: Record, free: np.ndarray) -> Weighed:
+    """Weigh the residual (n) of a free run.
+
+    Where the shaft rests through the first second, that second says little of the angle within its count, and the rest
+    of the run would be judged by what nobody knows.
+    """
+    weights, half = record.weights**2, 0.5 * record.quantum
+    weight = float(weights.sum())
+    offset = float(np.clip(weights @ free / weight, -half, half)) if record.kind == ANGLE else 0.0
+    error = free - offset
+    outside = 100.0 * float(weights @ (np.abs(error) > half)) / weight if record.quantum > 0.0 else None
+    return Weighed(float(weights @ error**2), weight, outside)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A model on one record: the figures and what they were computed from, each array (n)."""
 
     errors: Errors
     start: Start
     simulated: np.ndarray
     free_residual: np.ndarray
     window_residual: np.ndarray
-    weighted_square: float
-    weight: float
+    weighed: Weighed
     wide_windows_pct: float | None
     windows: int
 
@@ -91,8 +117,7 @@ def judge(record: Record, model: Model, y: np.ndarray | None = None, *, near: St
         simulated=simulated,
         free_residual=free,
         window_residual=windows,
-        weighted_square=float(np.sum((record.weights * free) ** 2)),
-        weight=float(record.weights @ record.weights),
+        weighed=weigh(record, free),
         wide_windows_pct=_wide_windows(record, windows),
         windows=len(record.windows) - 1,
     )

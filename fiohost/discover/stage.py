@@ -39,7 +39,7 @@ class Stage:
     def floor_rms(self) -> float:
         """Free-run floor of all records together, weighted as a fit weighs them; infinite where there is none."""
         squares = [f.weighted_square for f in self.floors]
-        weight = sum(j.weight for j in self.judgements)
+        weight = sum(j.weighed.weight for j in self.judgements)
         return float(np.sqrt(sum(squares) / weight)) if sum(squares) > 0.0 else float("inf")
 
     @property

@@ -18,8 +18,8 @@ NEAR = 4.0
 class Rule:
     """How far a figure may stand above its replicas: a factor on them and a margin in the figure's own unit.
 
-    A model that is right but for the last digits of its parameters stays within these. The free run hangs on the angle
-    within the first count and has a heavy tail; the windows do not.
+    A model that is right but for the last digits of its parameters stays within these. Free runs are taken as a fit
+    weighs them: at rest they hang on last digits, which windows do not.
     """
 
     figure: str
@@ -51,9 +51,11 @@ class Excess:
 
 
 def _figure(judgement: Judgement, figure: str) -> float | None:
-    owner = judgement if figure == "wide_windows_pct" else judgement.errors
-    value = getattr(owner, figure)
-    return None if value is None else float(value)
+    if figure == "wide_windows_pct":
+        return judgement.wide_windows_pct
+    if figure == "bin_violation_pct":
+        return judgement.weighed.outside_pct
+    return judgement.weighed.rms if figure == "free_run_rms" else judgement.errors.window_rms
 
 
 def _limit(rule: Rule, floor: Floor, draws: np.ndarray) -> float:

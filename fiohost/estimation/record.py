@@ -186,7 +186,7 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         rotary=output in ("angle_deg", "speed_deg_s"),
         own_zero=log.pos_reset and output == "angle_deg",
         clock_s=log.bench_time_s,
-        at_rest=True if log.begins_at_rest and len(y) > 1 and y[0] == y[1] else None,
+        at_rest=None if log.begins_at_rest and (len(y) < 2 or y[0] != y[1]) else log.begins_at_rest,
     )
 
 
