@@ -141,6 +141,19 @@ def test_each_effect_means_the_same_on_both_sides(tmp_path: Path, effect: str, p
         assert np.ptp(log.output) > 20.0
 
 
+def test_under_fast_decay_what_flows_of_more_falls_before_it_ceases_in_each_pulse(tmp_path: Path) -> None:
+    """The duty of these runs crosses over and over from where the current never ceases to where it does."""
+    changes = {"L_H": 0.011, "R_ohm": 5.5}
+    plant = plant_file(tmp_path, changes, effects={"fast_decay": {}})
+    model = physical_model(plant).with_effect("fast_decay", {"electrical_tau_s": changes["L_H"] / changes["R_ohm"]})
+    for experiment in (multisine(10.0, 7), closed_loop()):
+        (log,) = logs_of(f"sim:{plant}", tmp_path, [experiment])
+        y = free_run(model, record_from_log(log).excitation, 0.25)
+        beyond_deg = np.maximum(log.output - y, y - log.output - log.output_quantum)
+        assert beyond_deg.max() <= 0.02, experiment.name
+        assert np.ptp(log.output) > 20.0
+
+
 def reduced(physical: dict[str, Any], plant: Path) -> dict[str, float | str]:
     """Percent of duty, degrees and seconds from SI."""
     q = tomllib.loads(plant.read_text())

@@ -78,15 +78,57 @@ def step(omega, amps, duty, load, gain, tau, lag, dt, c, s):  # type: ignore[no-
 def advance_lagged(state, duty, mode, time, span, substep, play, p, on):  # type: ignore[no-untyped-def]
     """Carry the shaft over a span of constant command; as ``rigid.advance``, with the current as a state.
 
-    With the bridge open the current dies at once, and where it ceases within each pulse it follows its mean at once. A
-    shaft at rest is released when the rising current lets it go.
+    With the bridge open the current dies at once. Where it ceases within each pulse it follows its mean at once, but
+    for what still flows of more before.
     """
     pulsed = on[FAST_ON] and mode == DRIVE
+    if pulsed:
+        gain, _, _ = plant(time, p, on)
+        drive, falls_s = left_over(state[CURRENT], state[OMEGA], time, duty, gain, state, p, on)
+        if falls_s > 0.0:
+            falls_s = min(falls_s, span)
+            carry(state, duty, mode, time, falls_s, substep, play, True, drive, p, on)
+            time += falls_s
+            span -= falls_s
+            if span <= 0.0:
+                return
     gain, _, _ = plant(time, p, on)
     if mode == STANDBY or (pulsed and (duty == 0.0 or ceases(state[OMEGA], duty, gain, p))):
         advance(state, duty, mode, time, span, substep, play, p, on)
         state[CURRENT] = settled_current(state[OMEGA], time + span, duty, mode, gain, state, p, on)
         return
+    carry(state, duty, mode, time, span, substep, play, False, 0.0, p, on)
+
+
+@inlined
+def left_over(amps, omega, time, duty, gain, state, p, on):  # type: ignore[no-untyped-def]
+    """Of a bridge open between its pulses, the drive in percent under which a current falls that is more than the duty
+    makes, and how long it does.
+
+    Against the duty the current meets the whole supply, in pulse and pause; along it the mean of both, until it is what
+    ceases within each pulse.
+    """
+    share = min(abs(duty) * 0.01, 1.0)
+    way = 1.0 if duty > 0.0 or (duty == 0.0 and amps < 0.0) else -1.0
+    until = 0.0
+    if amps * way <= 0.0 or duty == 0.0:
+        drive = 100.0 * way
+    else:
+        if not ceases(omega, duty, gain, p):
+            return 0.0, 0.0
+        drive = 100.0 * way * (2.0 * share - 1.0)
+        until = settled_current(omega, time, duty, DRIVE, gain, state, p, on)
+    target = drive - omega / gain
+    if (until - amps) * (target - until) <= 0.0 or amps == 0.0:
+        return 0.0, 0.0
+    return drive, (p[LAG] if on[LAG_ON] else p[FAST_LAG]) * log((amps - target) / (until - target))
+
+
+@inlined
+def carry(state, duty, mode, time, span, substep, play, forced, drive, p, on):  # type: ignore[no-untyped-def]
+    """Carry the shaft over a span with the current as a state, which follows what the electrics let through of the
+    duty, or, ``forced``, a given drive in percent. A shaft at rest is released when the rising current lets it go.
+    """
     lag = p[LAG] if on[LAG_ON] else p[FAST_LAG]
     bristle = on[BRISTLE_ON] and p[BREAKAWAY] >= SMALLEST_BREAKAWAY
     theta, omega, amps = state[THETA], state[OMEGA], state[CURRENT]
@@ -96,7 +138,7 @@ def advance_lagged(state, duty, mode, time, span, substep, play, p, on):  # type
             break
         gain, tau, grip = plant(time, p, on)
         dt = min(left, substep) if substep > 0.0 else left
-        target = settled_current(omega, time, duty, mode, gain, state, p, on) + omega / gain
+        target = drive if forced else settled_current(omega, time, duty, mode, gain, state, p, on) + omega / gain
         direction = 1.0 if omega > 0.0 else -1.0
         if omega == 0.0:
             load = torque(theta, 0.0, time, duty, p, on)
@@ -128,7 +170,8 @@ def advance_lagged(state, duty, mode, time, span, substep, play, p, on):  # type
             at = time + 0.5 * dt
             if bristle:
                 deflect(state, half, p)
-            target = settled_current(middle, at, duty, mode, gain, state, p, on) + middle / gain
+            if not forced:
+                target = settled_current(middle, at, duty, mode, gain, state, p, on) + middle / gain
             load = resistance(theta + half, middle, at, duty, between, direction, bristle, grip, state, p, on)
             state[BRISTLE] = was
         c, s = remembered(state, STEP_SWING, dt, tau, lag)
