@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import os
 import platform
 import signal
@@ -217,6 +218,7 @@ def measure(asked: argparse.Namespace) -> tuple[list[Block], str]:
 
 def main() -> None:
     asked = parse_arguments()
+    logging.getLogger("fiohost").setLevel(logging.ERROR)  # of a board without a watchdog it warns at every opening
     bench_line.TELEMETRY_TIMEOUT_S = READ_S
     before = load()
     blocks, key = measure(asked)
