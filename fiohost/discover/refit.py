@@ -83,11 +83,11 @@ def full_fit(
 ) -> Fit:
     """A rough fit carried to its minimum; ``search`` also looks along the effect's ragged parameters.
 
-    Where whole runs stay above ``lost_rms``, one-second windows are fitted first, from ``trials`` too: a shaft that
-    starts a moment too late misses by the whole motion, which leads gradients astray.
+    Where whole runs stay above ``lost_rms`` and the effect has a ragged parameter, one-second windows are fitted first,
+    from ``trials`` too: a shaft that starts a moment too late misses by the whole motion, which leads gradients astray.
     """
     direct = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
-    if direct.rms > lost_rms:
+    if direct.rms > lost_rms and any(q.ragged for q in effect.parameters):
         by_windows = [fit(m, records, windows=True, max_iterations=12, tolerance=1e-3) for m in (rough.model, *trials)]
         best_windows = min(by_windows, key=lambda f: f.cost)
         whole = fit(best_windows.model, records, max_iterations=25, tolerance=1e-6)
