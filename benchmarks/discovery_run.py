@@ -166,7 +166,6 @@ def run_task(task: Task) -> Row:
         "held_out": {"before": before.window_rms, "after": after.window_rms, "floor": floor.window_rms},
         "logs_within_replicas": sum(tails),
         "logs_held_out": len(tails),
-        "horizon_s": found.horizon_s,
         "seconds": seconds,
         "cpu_s": cpu,
     }

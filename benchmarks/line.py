@@ -188,7 +188,10 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--node", help="the other end of the cable, to serve the board on: /dev/hidg0, /dev/ttyGS0")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each loop (60)")
     parser.add_argument("--json", metavar="FILE|-", help="write the figures as JSON")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if not 1.0 <= options.seconds <= 3600.0:
+        parser.error(f"--seconds {options.seconds:g} is not within 1 to 3600")
+    return options
 
 
 def measure(asked: argparse.Namespace) -> tuple[list[Block], str]:

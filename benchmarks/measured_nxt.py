@@ -80,9 +80,8 @@ def own_ripple(record: Record) -> tuple[float, float]:
     """A linear motor with a once-a-turn load fitted to this run alone: error in 1 s windows (deg rms), load (%)."""
     speed = slope(record, record.y, 2.0, record.seconds) / float(record.excitation.duties_pct[-1])
     guess = Model(values={"linear.gain_deg_s_per_pct": speed, "linear.tau_s": 0.06})
-    plain = fit(guess, [record], windows=True).model
-    phases = range(0, 360, 60)
-    trials = [plain.with_effect("gravity_load", {"level_pct": 0.4, "phase_deg": float(phase)}) for phase in phases]
+    begun = [{"level_pct": level, "phase_deg": float(phase)} for level in (0.15, 0.4) for phase in range(0, 360, 60)]
+    trials = [guess.with_effect("gravity_load", values) for values in begun]
     best = min((fit(model, [record], windows=True, max_iterations=15) for model in trials), key=lambda f: f.cost)
     return judge(record, best.model).errors.window_rms, best.model.number("gravity_load.level_pct")
 

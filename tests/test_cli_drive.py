@@ -20,7 +20,7 @@ from fiohost.bench.log import Log
 from fiohost.cli.main import COMMANDS, cli
 
 ROOT = Path(__file__).parent.parent
-FIOHOST = [sys.executable, "-m", "fiohost.cli.main"]
+FIOHOST = [sys.executable, "-m", "fiohost"]
 
 
 @pytest.fixture(autouse=True)

@@ -119,9 +119,9 @@ def test_folds_leave_out_whole_experiments_and_keep_repeats_together() -> None:
     records = [measure(truth, same, rng, name=f"same{i}") for i in range(3)]
     records += [measure(truth, steps(8.0, rng), rng, name=f"step{i}") for i in range(2)]
     assert repeats(records) == [[0, 1, 2]]
-    _, groups = folds(records, None)
+    _, groups = folds(records)
     assert sorted(map(sorted, groups)) == [[0, 1, 2], [3], [4]]
-    pieces, groups = folds(records[:1], None)
+    pieces, groups = folds(records[:1])
     assert len(pieces) == len(groups) == 2
     assert sum(len(p) for p in pieces) == len(records[0])
 

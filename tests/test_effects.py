@@ -84,7 +84,7 @@ def run(folder: Path, name: str = "", values: Mapping[str, Value] | None = None)
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     """The plant as it is: its model's figures and the bounds that counts alone would leave."""
-    search = Search(run(tmp_path_factory.mktemp("clean")), None, np.random.default_rng(1), None, lambda text: None)
+    search = Search(run(tmp_path_factory.mktemp("clean")), np.random.default_rng(1), None, lambda text: None)
     stage = search.stage(fit_from_scratch(Model.parse(MEASURED.model), search.records))
     assert stage.at_floor
     return stage

@@ -215,3 +215,14 @@ def test_any_damage_to_a_log_is_either_read_or_refused_by_a_log_error(data: st.D
         _ = log.ambiguous_rows, log.tick
     except LogError:
         pass
+
+
+@pytest.mark.parametrize(("told", "means"), [("at rest", True), ("moving", False), (None, None), ("perhaps", LogError)])
+def test_how_a_log_begins_is_one_of_two_things_or_not_said(told: str | None, means: bool | type | None) -> None:
+    columns = {"time_s": 0.005 * np.arange(5), "duty_pct": np.zeros(5), "angle_deg": np.zeros(5)}
+    log = Log.from_columns(columns, {} if told is None else {"begins": told})
+    if means is LogError:
+        with pytest.raises(LogError, match="'perhaps', which is neither 'at rest' nor 'moving'"):
+            _ = log.begins_at_rest
+    else:
+        assert log.begins_at_rest is means

@@ -243,8 +243,16 @@ class Log:
 
     @property
     def begins_at_rest(self) -> bool | None:
-        """Whether the shaft stood still before the first row, for which the bench waits; None where nobody says."""
-        return {"at rest": True, "moving": False}.get(self.metadata.get("begins", ""))
+        """Whether the shaft stood still before the first row, for which the bench waits; None where nobody says.
+
+        Raises LogError where the metadata say something else.
+        """
+        told = self.metadata.get("begins", "").strip()
+        if told not in ("", "at rest", "moving"):
+            raise LogError(
+                f"{self.path}: the metadata say begins = {told[:40]!r}, which is neither 'at rest' nor 'moving'"
+            )
+        return {"at rest": True, "moving": False}.get(told)
 
     @property
     def pos_reset(self) -> bool:

@@ -12,9 +12,8 @@ from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
 from fiohost.discover.limit import Limit, Measured
 from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import pool
-from fiohost.discover.search import Search
+from fiohost.discover.search import Search, declared_alone
 from fiohost.errors import DataError
-from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.record import record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
@@ -44,8 +43,8 @@ def smallest_visible(
     seconds = sum(r.seconds for r in records)
     with threadpool_limits(limits=1, user_api="blas"):
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")
-        search = Search(records, None, np.random.default_rng(seed), library, say)
-        stage = search.stage(fit_from_scratch(declared, search.records, keep_start=declared.given))
+        search = Search(records, np.random.default_rng(seed), library, say)
+        stage = declared_alone(search, declared, declared.given).stages[0]
         if not stage.at_floor:
             raise DataError(
                 f"{declared.expression} leaves something unexplained in these logs, which hides how small an effect "

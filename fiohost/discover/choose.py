@@ -56,22 +56,18 @@ def slices(record: Record, pieces: int) -> list[Record]:
     return found
 
 
-def folds(records: Sequence[Record], horizon_s: float | None, most: int = 6) -> tuple[list[Record], list[list[int]]]:
+def folds(records: Sequence[Record], most: int = 6) -> tuple[list[Record], list[list[int]]]:
     """The records to fit, and the groups of them to leave out in turn.
 
-    With a horizon every record is cut into pieces of about that length. Groups are whole experiments, repeats together;
-    where there are fewer than three, records are cut in time and the pieces are left out.
+    Groups are whole experiments, repeats together; where there are fewer than three, records are cut in time and the
+    pieces are left out.
     """
     experiments = [*repeats(records)]
     grouped = {i for g in experiments for i in g}
     experiments.extend([i] for i in range(len(records)) if i not in grouped)
-
-    def pieces_of(record: Record) -> int:
-        return 1 if horizon_s is None else max(1, int(record.seconds / horizon_s))
-
-    counts = [pieces_of(r) for r in records]
+    counts = [1] * len(records)
     if len(experiments) < 3:
-        counts = [max(n, 2, min(4, int(r.seconds // 4))) for n, r in zip(counts, records, strict=True)]
+        counts = [max(2, min(4, int(r.seconds // 4))) for r in records]
     pieces: list[Record] = []
     where: list[list[int]] = []
     for record, count in zip(records, counts, strict=True):
@@ -124,7 +120,7 @@ def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) 
             parameter = fitted.model.parameter(name)
             values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
         model = fitted.model.with_values(values)
-        if unchanged(model, kept, starts=starts).cost <= before:
+        if unchanged(model, kept, starts=starts, windows=fitted.windows).cost <= before:
             return model
     return fitted.model
 
@@ -135,7 +131,8 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
     costs: list[float] = []
     for group in groups:
         out = [cv_records[i] for i in group]
-        seen = unchanged(without_group(fitted, cv_records, group), out, starts=[fitted.starts[i] for i in group])
+        model, starts = without_group(fitted, cv_records, group), [fitted.starts[i] for i in group]
+        seen = unchanged(model, out, starts=starts, windows=fitted.windows)
         for record, residual in zip(out, seen.residuals, strict=True):
             size = max(1, round(BLOCK_S / record.sample_time_s))
             blocks.extend(float(residual[a : a + size] @ residual[a : a + size]) for a in range(0, len(residual), size))

@@ -19,18 +19,21 @@ from fiohost.discover.outlook import Outlook
 from fiohost.discover.preliminary import Preliminary, examine
 from fiohost.discover.round import Candidate, Progress
 from fiohost.discover.said import Said
-from fiohost.discover.search import Found, Search, Step, select
+from fiohost.discover.search import SHOWS, Search, declared_alone, only_commonest, select
 from fiohost.discover.stage import Stage
+from fiohost.discover.step import Found, Step
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
-from fiohost.estimation.record import Record, with_bench_zero
+from fiohost.estimation.record import ANGLE, Record, with_bench_zero
 from fiohost.motor.model import Model
 
-# Where whole free runs cannot be explained, slow disturbances rule them; pieces of this length ask about the dynamics.
-SHORT_HORIZON_S = 2.0
-SHORT_IS_BETTER = 0.97
-FAR_FROM_FLOOR = 2.0
+# Where whole free runs cannot be explained, slow disturbances rule them; windows of this length ask about the dynamics.
+WINDOW_S = 1.0
+# One search is preferred to another where it comes so much closer.
+BETTER = 0.97
+# They are looked at where so much of their power stands above the floor, as a share of it.
+FAR_FROM_FLOOR = 3.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,6 @@ class Diagnosis:
     floor_holdout: tuple[Floor, ...]
     preliminary: Preliminary
     seconds: float
-    horizon_s: float | None = None
     files: dict[str, dict[str, str]] = field(default_factory=dict)
     outlook: Outlook = field(default_factory=Outlook)
 
@@ -64,14 +66,8 @@ class Diagnosis:
         return "explained" if self.steps else "no_missing_effect"
 
 
-def _over_floor(stage: Stage) -> float:
-    """Pooled window error over its floor."""
-    error, floor = pool([j.errors for j in stage.judgements]), pool([f.errors for f in stage.floors])
-    return error.window_rms / floor.window_rms if error and floor and floor.window_rms > 0 else np.inf
-
-
 def _window_rms(found: Found) -> float:
-    errors = pool([j.errors for j in found.stages[-1].judgements])
+    errors = pool([j.errors for j in found.final.judgements])
     return errors.window_rms if errors else 0.0
 
 
@@ -118,14 +114,8 @@ def _diagnose(
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
-    found = select(Search(train, None, rng, library, say), model, from_file)
-    horizon_s = None
-    if not found.stages[-1].at_floor and _over_floor(found.stages[-1]) > FAR_FROM_FLOOR:
-        say(f"whole runs stay unexplained: looking at pieces of {SHORT_HORIZON_S:g} s")
-        short = select(Search(train, SHORT_HORIZON_S, rng, library, say), model, from_file)
-        if _window_rms(short) < SHORT_IS_BETTER * _window_rms(found):
-            found, horizon_s = short, SHORT_HORIZON_S
-    declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.stages[-1]
+    found = _searched(train, model, library, from_file, rng, say)
+    declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.final
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
@@ -142,14 +132,45 @@ def _diagnose(
         floor_holdout=tuple(floors(holdout, final, after, stage.scattered_models, rng)) if holdout else (),
         preliminary=preliminary,
         seconds=time.monotonic() - began,
-        horizon_s=horizon_s,
         files=files,
     )
+
+
+def _searched(
+    train: Sequence[Record],
+    model: Model,
+    library: Sequence[str] | None,
+    from_file: bool,
+    rng: np.random.Generator,
+    say: Progress,
+) -> Found:
+    """The search by whole runs; where these stay unexplained, by windows, and by whole runs again from there.
+
+    Names from windows count only once whole runs can be followed with them: windows alone also like what just lets a
+    shaft coast whose speed wanders.
+    """
+    whole = Search(train, rng, library, say)
+    alone = declared_alone(whole, model, from_file)
+    found = select(whole, alone)
+    left = found.final.windows_above_floor
+    if not found.final.at_floor and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS)):
+        say(f"whole runs stay unexplained: looking at windows of {WINDOW_S:g} s")
+        seen = select(Search(train, rng, library, say, windows=True), alone)
+        if seen.steps and not seen.final.fit.windows:
+            seen = select(whole, seen)
+            found = seen if _window_rms(seen) < BETTER * _window_rms(found) else found
+    if not found.final.at_floor and found.final.lost:
+        say("still far from the floor: beginning anew with each effect")
+        other = select(Search(train, rng, library, say, anew=True), alone)
+        found = other if other.final.fit.rms < BETTER * found.final.fit.rms else found
+    return only_commonest(whole, found) if found.steps and found.final.utterly_lost else found
 
 
 def pooled(judgements: Sequence[Judgement]) -> Errors | None:
     return pool([j.errors for j in judgements])
 
 
-def parameters(stage: Stage) -> dict[str, Estimate]:
-    return estimates(stage.fit, stage.scattered_models)
+def parameters(found: Diagnosis, stage: Stage) -> dict[str, Estimate]:
+    """The parameters of one of the diagnosis' stages, with intervals."""
+    count = max((r.quantum for r in found.train if r.kind == ANGLE), default=0.0)
+    return estimates(stage.fit, stage.scattered_models, count)

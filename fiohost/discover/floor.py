@@ -12,7 +12,7 @@ import numpy as np
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, errors, free_output
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
@@ -126,15 +126,21 @@ def replica_models(
 
     ``anywhere`` lets the shaft stand anywhere within its count: how estimates scatter from one bench to the next.
     """
+    return [refitted(fitted, replica_errors(fitted, records, rng, anywhere=anywhere)) for _ in range(count)]
+
+
+def replica_errors(
+    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, *, anywhere: bool = False
+) -> list[np.ndarray]:
+    """What a fitted model would leave of one draw of its own readings, for each record, as the fit weighs it."""
     flat = Flat.of(fitted.model)
-    found = []
-    for _ in range(count):
-        noises = [
-            r.weights * (replica(r, fitted.model, s, rng, None if anywhere else e) - free_output(r, flat, s))
-            for r, s, e in zip(records, fitted.starts, fitted.errors(records), strict=True)
-        ]
-        found.append(refitted(fitted, noises))
-    return found
+    known: Sequence[np.ndarray | None] = [None] * len(records)
+    if not anywhere and not fitted.windows:  # windows do not say where in its count a whole run stands
+        known = fitted.errors(records)
+    return [
+        errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
+        for r, s, e in zip(records, fitted.starts, known, strict=True)
+    ]
 
 
 def replica_floor(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.estimation.predict import Flat, free_states, initial_state, read, window_residuals
+from fiohost.estimation.initial import initial_state
+from fiohost.estimation.predict import Flat, free_states, read, window_residuals
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -17,8 +17,8 @@ from fiohost.discover.choose import STEP_SHARES, folds
 from fiohost.discover.excitation import lacks
 from fiohost.discover.exercised import Exercised
 from fiohost.discover.metrics import judge, pool
-from fiohost.discover.search import Step
 from fiohost.discover.stage import Stage
+from fiohost.discover.step import Step
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, free_output
@@ -286,7 +286,6 @@ def propose(
     final: Stage,
     steps: Sequence[Step],
     train: Sequence[Record],
-    horizon_s: float | None,
     seen: Exercised,
     follows: str | None,
     offers: Sequence[Offer],
@@ -299,9 +298,11 @@ def propose(
     exchanged = rivals_of(final.fit.model, steps)
     if exchanged:
         say(f"looking for an experiment that separates {len(exchanged)} rivals")
-        records, _ = folds(train, horizon_s)
+        records, _ = folds(train)
+        windows = final.fit.windows
         fits = each(
-            lambda m: fit(m, records, max_iterations=REFIT_STEPS, tolerance=TOLERANCE), list(exchanged.values())
+            lambda m: fit(m, records, windows=windows, max_iterations=REFIT_STEPS, tolerance=TOLERANCE),
+            list(exchanged.values()),
         )
         errors, floors = pool([j.errors for j in final.judgements]), pool([f.errors for f in final.floors])
         if errors and floors:

@@ -51,9 +51,7 @@ def look_ahead(
             term = empirical_term(found.final, found.train, np.random.default_rng(0))
             follows = term.variable if term else follows
         seen = found.preliminary.data.exercised
-        upcoming = propose(
-            found.verdict, found.final, found.steps, found.train, found.horizon_s, seen, follows, offers, say
-        )
+        upcoming = propose(found.verdict, found.final, found.steps, found.train, seen, follows, offers, say)
         sizes: list[Limit] = []
         # Beside what is there and unexplained, no size of anything else can be told.
         if found.final.at_floor and (limits or not found.steps):

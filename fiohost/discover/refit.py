@@ -10,13 +10,15 @@ from fiohost.discover.choose import slices
 from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
+from fiohost.estimation.initial import initial_warmth
 from fiohost.estimation.intervals import covariance
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect, Parameter
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
-STARTS, RAW_STARTS = 4, 2
+STARTS, RAW_STARTS, WINDOW_STARTS = 4, 2, 3
 ANEW_STARTS = 2
 ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
 ANEW_LAG_S = 0.1
@@ -35,13 +37,45 @@ LOOKS, NUDGES = 48, 4
 
 
 def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
-    """Squared error of a free run with an effect at a trial size, offsets apart."""
-    flat = Flat.of(base.model.with_effect(effect.name, trial))
-    total = 0.0
-    for record, start in zip(records, base.starts, strict=True):
-        weights, error = record.weights**2, record.y - free_output(record, flat, start)
-        total += float(weights @ (error - np.average(error, weights=weights)) ** 2)
+    """Squared error with an effect at a trial size, offsets of whole runs apart."""
+    model = base.model.with_effect(effect.name, trial)
+    flat, total = Flat.of(model), 0.0
+    for record, start in zip(records, _starts(base, model, records), strict=True):
+        error = errors(record, flat, start, base.windows)
+        if not base.windows:
+            error = error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
+        total += float(error @ error)
     return total
+
+
+def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:
+    """Starts for a model from those of another's fit: how warm it was, a model that does not warm says nothing of."""
+    flat = Flat.of(model)
+    if not flat.warms or Flat.of(found.model).warms:
+        return list(found.starts)
+    return [
+        s._replace(warmth=initial_warmth(r, flat.from_zero(s.zero), s, r.y))
+        for r, s in zip(records, found.starts, strict=True)
+    ]
+
+
+def again(
+    found: Fit, model: Model, records: Sequence[Record], max_iterations: int = 40, tolerance: float = 1e-7
+) -> Fit:
+    """A model fitted to what another was fitted to, from that one's starts."""
+    return fit(
+        model,
+        records,
+        windows=found.windows,
+        starts=_starts(found, model, records),
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
+
+
+def _cost(found: Fit, model: Model, records: Sequence[Record]) -> float:
+    """Squared error of a model as it is, in what another was fitted to."""
+    return unchanged(model, records, starts=found.starts, windows=found.windows).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
@@ -49,8 +83,10 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     trials = [*score.trials[:STARTS]]
     looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
     trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
+    if base.windows:  # nearly convex, and dearer: fewer starts will do
+        trials = sorted(trials, key=lambda t: _plain_cost(base, score.effect, t, records))[:WINDOW_STARTS]
     starts = [base.model.with_effect(score.effect.name, trial) for trial in trials]
-    rough = [fit(m, records, starts=base.starts, max_iterations=5, tolerance=1e-2) for m in starts]
+    rough = [again(base, m, records, 5, 1e-2) for m in starts]
     return min(rough, key=lambda f: f.cost)
 
 
@@ -72,38 +108,28 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
-def full_fit(
-    rough: Fit,
-    effect: Effect,
-    records: Sequence[Record],
-    *,
-    search: bool = True,
-    lost_rms: float = np.inf,
-    trials: Sequence[Model] = (),
-) -> Fit:
-    """A rough fit carried to its minimum; ``search`` also looks along the effect's ragged parameters.
-
-    Where whole runs stay above ``lost_rms`` and the effect has a ragged parameter, one-second windows are fitted first,
-    from ``trials`` too: a shaft that starts a moment too late misses by the whole motion, which leads gradients astray.
-    """
-    direct = fit(rough.model, records, starts=rough.starts, max_iterations=25, tolerance=1e-6)
-    if direct.rms > lost_rms and any(q.ragged for q in effect.parameters):
-        by_windows = [fit(m, records, windows=True, max_iterations=12, tolerance=1e-3) for m in (rough.model, *trials)]
-        best_windows = min(by_windows, key=lambda f: f.cost)
-        whole = fit(best_windows.model, records, max_iterations=25, tolerance=1e-6)
-        direct = min(direct, whole, key=lambda f: f.cost)
-    best = _thoroughly(direct, effect, records, search)
-    others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters if search for c in p.choices]
+def full_fit(rough: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
+    """A rough fit carried to its minimum, along the effect's ragged parameters and through its choices too."""
+    direct = again(rough, rough.model, records, 25, 1e-6)
+    if direct.windows and effect.once:
+        return direct  # its moment and what changed were looked for in all windows
+    best = _thoroughly(direct, effect, records)
+    others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters for c in p.choices]
     near = [f for f in others if f is not best and f.cost < ANOTHER_CHOICE * best.cost]
-    return min((best, *(_thoroughly(f, effect, records, search) for f in near)), key=lambda f: f.cost)
+    return min((best, *(_thoroughly(f, effect, records) for f in near)), key=lambda f: f.cost)
 
 
-def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record], search: bool) -> Fit:
-    """A fit with its effect's ragged parameters searched, coarse, fine, and on while it pays."""
+def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
+    """A fit with its effect's ragged parameters searched, coarse, fine, and on while it pays; windows show no more than
+    the coarse.
+    """
     for parameter in effect.parameters:
-        if not (parameter.ragged and search):
+        if not parameter.ragged:
             continue
         key, was = f"{effect.name}.{parameter.name}", np.inf
+        if best.windows:
+            best = _searched(best, key, records, (COARSE, FINE))
+            continue
         best = _searched(best, key, records, (COARSE, FINE, FINEST))
         for _ in range(SEARCHED_AGAIN):
             if best.cost > STILL_BETTER * was:
@@ -125,10 +151,10 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
         name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
         grown = [neutral + k * (found.model.number(name) - neutral) for k in CHOICE_SIZES]
         models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
-    costs = [unchanged(m, records, starts=found.starts).cost for m in models]
+    costs = [_cost(found, m, records) for m in models]
     if not models:
         return found
-    return fit(models[int(np.argmin(costs))], records, starts=found.starts, max_iterations=12, tolerance=1e-4)
+    return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
 
 
 def searched_again(found: Fit, records: Sequence[Record]) -> Fit:
@@ -152,9 +178,9 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         centre = found.model.number(key)
         points = [centre * f if parameter.neutral == 0.0 else centre + MOMENT_S * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
-        costs = [unchanged(m, records, starts=found.starts).cost for m in models]
+        costs = [_cost(found, m, records) for m in models]
         near = [models[i] for i in np.argsort(costs)[:2]]
-        fits = [fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-5) for m in near]
+        fits = [again(found, m, records, 12, 1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
     return _centred(found, key, records)
 
@@ -169,7 +195,7 @@ def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     def same(value: float) -> bool:
         inside = parameter.lower <= value <= parameter.upper
         moved = found.model.with_values({key: value}) if inside else found.model
-        return inside and unchanged(moved, records, starts=found.starts).cost <= found.cost * (1.0 + FLAT)
+        return inside and _cost(found, moved, records) <= found.cost * (1.0 + FLAT)
 
     def edge(way: float) -> float:
         near, step = centre, way * max(abs(centre), 1e-3) * FIRST_STEP
@@ -185,7 +211,7 @@ def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     middle = 0.5 * (edge(-1.0) + edge(1.0))
     if middle == centre:
         return found
-    moved = fit(found.model.with_values({key: middle}), records, starts=found.starts, max_iterations=2)
+    moved = again(found, found.model.with_values({key: middle}), records, 2, 1e-7)
     return moved if moved.cost <= found.cost * (1.0 + FLAT) else found
 
 
@@ -211,10 +237,10 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
         return found.model.with_values(dict(zip(names, inside, strict=True)))
 
     def cost(model: Model) -> float:
-        return unchanged(model, records, starts=found.starts).cost
+        return _cost(found, model, records)
 
     looked = [moved(draw) for draw in range(LOOKS)]
     costs = each(cost, looked)
     best = [looked[i] for i in np.argsort(costs)[:NUDGES]]
-    nudged = each(lambda m: fit(m, records, starts=found.starts, max_iterations=12, tolerance=1e-7), best)
+    nudged = each(lambda m: again(found, m, records, 12, 1e-7), best)
     return min((found, *nudged), key=lambda f: f.cost)

@@ -17,9 +17,9 @@ def _errors(errors: Errors | None) -> dict[str, Any] | None:
     return errors.to_json() if errors else None
 
 
-def _parameters(stage: Stage, only: str | None = None) -> dict[str, Any]:
+def _parameters(diagnosis: Diagnosis, stage: Stage, only: str | None = None) -> dict[str, Any]:
     """Parameters with intervals."""
-    known = parameters(stage)
+    known = parameters(diagnosis, stage)
     found: dict[str, Any] = {}
     for name, value in stage.fit.model.values.items():
         group, _, short = name.partition(".")
@@ -71,16 +71,15 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "schema": "fiohost.diagnosis/1",
         "fiohost_version": __version__,
         "seconds": found.seconds,
-        "fit_horizon_s": found.horizon_s,
         "output_unit": LOG_UNIT.get(unit, unit),
         **found.preliminary.to_json(),
-        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(declared)},
+        "declared": {"model": declared.fit.model.expression, "parameters": _parameters(found, declared)},
         "verdict": found.verdict,
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
             {
                 "effect": step.effect,
-                "parameters": _parameters(step.stage, step.effect),
+                "parameters": _parameters(found, step.stage, step.effect),
                 "evidence": step.evidence,
                 "after": {"train": _errors(pooled(step.stage.judgements)), "holdout": _errors(pooled(held))},
                 "indistinguishable_from": list(step.indistinguishable_from),
@@ -88,7 +87,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for step, held in zip(found.steps, found.step_holdout, strict=True)
         ],
         "after": {"train": _errors(pooled(final.judgements)), "holdout": _errors(pooled(found.after_holdout))},
-        "final": {"model": final.fit.model.expression, "parameters": _parameters(final)},
+        "final": {"model": final.fit.model.expression, "parameters": _parameters(found, final)},
         "floor": {
             "train": _errors(pool([f.errors for f in final.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fiohost.discover.choose import Validated, objection, validate
-from fiohost.discover.floor import replica
+from fiohost.discover.floor import replica_errors
+from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.refit import fit_anew, full_fit, polish, rough_fit
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
-from fiohost.discover.stage import Stage
+from fiohost.discover.stage import LOST, UTTERLY_LOST, Stage
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
@@ -26,16 +27,11 @@ from fiohost.motor.effect import effect
 WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
 FAR, HOPELESS = 12.0, 4.0
-# Where nothing comes closer to the floor than this, the declared fit itself leads nowhere.
-LOST, UTTERLY_LOST = 2.0, 20.0
+# So many begin anew where nothing comes close to the floor, all where nothing comes anywhere near it.
 REFITTED_ANEW = 16
-# Where a candidate stays as far, windows are fitted first, from so many of its trials.
-WINDOW_STARTS = 4
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
-# So many that could have been added instead are tried again in the place of the winner once another effect is there.
-MOST_OTHERS = 3
 FINISHED = 1.1
 # A further effect must account for this share of what still stands above the floor: small remains have many takers.
 LEAST_OF_REST = 0.3
@@ -45,11 +41,14 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Context:
-    """What stays the same in all rounds: the records to fit, the groups of them to leave out, the library."""
+    """What stays the same in all rounds: the records to fit, the groups of them to leave out, the library; whether one-
+    second windows are fitted or whole runs, and whether these are begun anew where nothing else comes close.
+    """
 
     records: Sequence[Record]
     groups: Sequence[Sequence[int]]
-    whole: bool
+    windows: bool
+    anew: bool
     library: Sequence[str] | None
     rng: np.random.Generator
     say: Progress
@@ -79,9 +78,9 @@ class Outcome:
 
     @property
     def able_beside_winner(self) -> tuple[Candidate, ...]:
-        """Those that left-out records spoke for as well, the best of them first."""
+        """All that left-out records spoke for as well, the best of them first."""
         able = [(c.validated.cost, c) for c in self.candidates if c.validated is not None and c.effect != self._name]
-        return tuple(c for _, c in sorted(able, key=lambda pair: pair[0])[:MOST_OTHERS])
+        return tuple(c for _, c in sorted(able, key=lambda pair: pair[0]))
 
     @property
     def _name(self) -> str | None:
@@ -99,7 +98,10 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     if not scores:
         return Outcome([])
     chance = _chance(context, screen, scores)
-    refits = _refits(context, stage, scores)
+    scores, refits = _refits(context, stage, scores)
+    if not refits:
+        far = "whole runs stay too far from the floor with every effect"
+        return Outcome([Candidate(s.effect.name, s.share, far) for s in scores])
     believed = [f.cost for s, f in zip(scores, refits, strict=False) if objection(f, s.effect.name) is None]
     least = min(believed, default=np.inf)
     found: list[Candidate] = []
@@ -134,40 +136,44 @@ def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
     """The score that the best of all reaches by chance."""
 
     def draw(rng: np.random.Generator) -> list[np.ndarray]:
-        model = screen.fit.model
-        return [
-            r.weights * (replica(r, model, s, rng) - (r.y - e))
-            for r, s, e in zip(context.records, screen.fit.starts, screen.fit.errors(context.records), strict=True)
-        ]
+        return replica_errors(screen.fit, context.records, rng, anywhere=True)
 
     sensors = all(r.quantum > 0 for r in context.records)
     return chance_share(screen, scores, draw if sensors else None, context.rng)
 
 
-def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> list[Fit]:
-    """Fits of the best candidates in the order of their scores; those far from the best remain rough."""
+def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> tuple[list[Score], list[Fit]]:
+    """The scores with those first that were refitted, and their fits; those far from the best remain rough.
+
+    The best are, and those of whose score little can be read: what happened once, between the moments that are tried,
+    and what hangs on how warm each log began. None is where all stay far from whole runs, unless they may begin anew.
+    """
     worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
-    worth = list(scores[: max(len(worth), LEAST_REFITTED) if context.whole else LEAST_REFITTED])
+    worth = list(scores[: max(len(worth), LEAST_REFITTED)])
     context.say(f"refitting the best {len(worth)}")
-    fits = each(lambda s: rough_fit(stage.fit, s, context.records), worth)
-    if context.whole and min(f.rms for f in fits) > LOST * stage.floor_rms:
+    worth += [s for s in scores if (s.effect.once or (context.windows and s.effect.warms)) and s not in worth]
+
+    def rough(score: Score) -> Fit:
+        fitted = rough_fit(stage.fit, score, context.records)
+        if moment_of(score.effect) is None:
+            return fitted
+        return min(fitted, fit_event(stage.fit, score.effect, context.records), key=lambda f: f.cost)
+
+    fits = each(rough, worth)
+    if context.anew and min(f.rms for f in fits) > LOST * stage.floor_rms:
         context.say("still far from the floor: beginning anew with each of them")
         lost = min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms
-        worth = list(scores if lost else scores[:REFITTED_ANEW])
+        more = scores if lost else scores[:REFITTED_ANEW]
+        worth += [s for s in more if s not in worth]
         anew = each(lambda s: fit_anew(stage.fit, s, context.records), worth)
         fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
+    if not context.windows and not context.anew and min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms:
+        return list(scores), []
     near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(g.cost for g in fits)]
-    far = LOST * stage.floor_rms if context.whole else np.inf
-
-    def carried(i: int) -> Fit:
-        name, trials = worth[i].effect.name, worth[i].raw or worth[i].trials
-        begins = [stage.fit.model.with_effect(name, trial) for trial in trials[:WINDOW_STARTS]]
-        return full_fit(fits[i], worth[i].effect, context.records, search=context.whole, lost_rms=far, trials=begins)
-
-    full = each(carried, near)
+    full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records), near)
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
-    return fits
+    return [*worth, *(s for s in scores if s not in worth)], fits
 
 
 def _objection(
@@ -203,7 +209,7 @@ def _finalists(context: Context, able: Sequence[Candidate]) -> list[tuple[Candid
     checked = [(c, c.validated) for c in able if c.validated is not None]
     least = min(v.cost for _, v in checked)
     close = [(c, v) for c, v in checked if v.cost <= AS_GOOD_LEFT_OUT * least]
-    better = [_polished(c, v, context) for c, v in close]
+    better = [v if context.windows else _polished(c, v, context) for c, v in close]
     return [(replace(c, validated=v), v) for (c, _), v in zip(close, better, strict=True)]
 
 

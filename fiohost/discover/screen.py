@@ -1,8 +1,8 @@
 """Which effects could account for the residual: the score test, one simulation a trial.
 
-The signature of an effect is what adding it at a trial size changes in the free run, with everything that the model's
-own parameters and the initial states could imitate projected out. The share of the residual's power along it is its
-score.
+The signature of an effect is what adding it at a trial size changes in what was fitted, whole runs or windows, with
+everything that the model's own parameters and the initial states could imitate projected out. The share of the
+residual's power along it is its score.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
@@ -99,7 +99,7 @@ class Screen:
         flat = Flat.of(fit.model)
         self._blocks = [max(1, round(RESOLUTION_S / r.sample_time_s)) for r in records]
         self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
-        self._base = [free_output(r, flat, s) for r, s in zip(records, fit.starts, strict=True)]
+        self._base = [errors(r, flat, s, fit.windows) for r, s in zip(records, fit.starts, strict=True)]
         self._nuisances = [np.linalg.qr(n)[0] if n.shape[1] else n for n in self.coarse(fit.nuisances)]
         jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((sum(self.lengths), 0))
         norms = np.linalg.norm(jacobian, axis=0)
@@ -114,8 +114,8 @@ class Screen:
         """Means of each record's series (n, ...) over blocks of about the screen's resolution."""
         found = []
         for values, n in zip(series, self._blocks, strict=True):
-            whole = values[: len(values) // n * n]
-            found.append(whole.reshape(-1, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
+            count = len(values) // n
+            found.append(values[: count * n].reshape(count, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
         return found
 
     def clean(self, series: Sequence[np.ndarray]) -> np.ndarray:
@@ -131,7 +131,7 @@ class Screen:
     def _change(self, effect: Effect, trial: Trial) -> list[np.ndarray]:
         flat = Flat.of(self.fit.model.with_effect(effect.name, trial))
         return [
-            r.weights * (free_output(r, flat, s) - b)
+            b - errors(r, flat, s, self.fit.windows)
             for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
         ]
 

@@ -15,6 +15,9 @@ from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
 
+# Farther from its floor than this, a fit leads nowhere.
+LOST, UTTERLY_LOST = 2.0, 12.0
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -36,33 +39,45 @@ class Stage:
         return at_floor(self.excesses)
 
     @property
+    def lost(self) -> bool:
+        """Whether what was fitted stays so far from its floor that gradients may lead anywhere."""
+        return self.fit.rms > LOST * self.floor_rms
+
+    @property
+    def utterly_lost(self) -> bool:
+        return self.fit.rms > UTTERLY_LOST * self.floor_rms
+
+    @property
     def floor_rms(self) -> float:
-        """Free-run floor of all records together, weighted as a fit weighs them; infinite where there is none."""
+        """Floor of what was fitted, all records together, weighted as by a fit; infinite where there is none."""
+        if self.fit.windows:
+            floor = pool([f.errors for f in self.floors])
+            return floor.window_rms if floor and floor.window_rms > 0.0 else float("inf")
         squares = [f.weighted_square for f in self.floors]
         weight = sum(j.weighed.weight for j in self.judgements)
         return float(np.sqrt(sum(squares) / weight)) if sum(squares) > 0.0 else float("inf")
 
     @property
-    def powers(self) -> tuple[float, float]:
-        """Mean squares of free runs and of one-second windows, all records together."""
-        return _powers([j.errors for j in self.judgements])
+    def powers(self) -> tuple[float, ...]:
+        """Mean squares of what counts, all records together: of one-second windows, and of free runs where fitted."""
+        return self._counting([j.errors for j in self.judgements])
 
     @property
-    def powers_above_floor(self) -> tuple[float, float]:
+    def powers_above_floor(self) -> tuple[float, ...]:
         """The same, without those of the floor."""
-        (free, windows), (free_floor, windows_floor) = self.powers, _powers([f.errors for f in self.floors])
-        return max(free - free_floor, 0.0), max(windows - windows_floor, 0.0)
+        floors = self._counting([f.errors for f in self.floors])
+        return tuple(max(power - floor, 0.0) for power, floor in zip(self.powers, floors, strict=True))
 
     @property
     def windows_above_floor(self) -> float:
         """Power of the one-second windows, all records together, above that of their floor, as a share of it."""
-        floor = _powers([f.errors for f in self.floors])[1]
-        return self.powers_above_floor[1] / floor if floor > 0.0 else 0.0
+        floor = self._counting([f.errors for f in self.floors])[0]
+        return self.powers_above_floor[0] / floor if floor > 0.0 else 0.0
 
-
-def _powers(errors: Sequence[Errors]) -> tuple[float, float]:
-    pooled = pool(errors)
-    return (pooled.free_run_rms**2, pooled.window_rms**2) if pooled else (0.0, 0.0)
+    def _counting(self, errors: Sequence[Errors]) -> tuple[float, ...]:
+        pooled = pool(errors)
+        both = (pooled.window_rms**2, pooled.free_run_rms**2) if pooled else (0.0, 0.0)
+        return both[:1] if self.fit.windows else both
 
 
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:

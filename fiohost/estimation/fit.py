@@ -13,31 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.estimation.predict import (
-    Flat,
-    best_lash,
-    find_zero,
-    free_output,
-    free_states,
-    has_own_zero,
-    initial_state,
-    window_residuals,
-)
+from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_zeros
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
-from fiohost.motor.state import GAIN
 
 MAX_ITERATIONS = 40
 # A step that promises less than this share of what the tolerance asks for is not tried.
 PROMISED = 0.1
 PLAY_ROUNDS = 2
-WARMTH_STEP = 0.01
-# Where the motor stood in its gap shows until both have met on either side.
-LASH_SHOWS_S = 4.0
-# A log's own zero, in degrees of the phase that it turns: difference, and the longest step of one iteration, which
-# shrinks so with every attempt that does not pay.
-ZERO_STEP, ZERO_REACH, ZERO_SHRINKS = 0.1, 30.0, 0.3
+# The longest step of one iteration shrinks so with every attempt that does not pay, for a start by its reach.
+REACH_SHRINKS = 0.3
 
 
 @dataclass(frozen=True)
@@ -47,7 +34,7 @@ class Fit:
     ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)): measured minus simulated, and the
     derivative of the simulation by each free parameter with the initial state projected out, both times the records'
     weights where whole runs are fitted. ``nuisances`` are the derivatives by the initial state, ``starts`` the records'
-    initial angles and speeds, ``samples`` the number of readings, weighted likewise.
+    initial angles and speeds, ``samples`` the number of readings, weighted likewise. ``windows`` says what was fitted.
     """
 
     model: Model
@@ -59,6 +46,7 @@ class Fit:
     starts: tuple[Start, ...]
     converged: bool
     samples: float
+    windows: bool = False
 
     @property
     def rms(self) -> float:
@@ -75,50 +63,6 @@ class _Point:
 
     p: np.ndarray
     starts: list[Start]
-
-
-def _start_columns(record: Record, flat: Flat, start: Start, y: np.ndarray) -> np.ndarray:
-    """Derivatives (n, 0..4) of the output by the initial angle, speed, warmth and own zero, where these are free."""
-    columns: list[np.ndarray] = []
-    if record.kind == ANGLE:
-        if flat.bends:
-            step = 1e-6 * 100.0 * abs(float(flat.p[GAIN]))
-            columns.append((free_output(record, flat, start._replace(angle=start.angle + step)) - y) / step)
-        else:
-            columns.append(np.ones_like(y))
-    if not record.at_rest:
-        step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
-        columns.append((free_output(record, flat, start._replace(speed=start.speed + step)) - y) / step)
-    if flat.warms:
-        step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
-        columns.append((free_output(record, flat, start._replace(warmth=start.warmth + step)) - y) / step)
-    if has_own_zero(record, flat):
-        turned, step = _turned(flat, start, ZERO_STEP)
-        columns.append((free_output(record, flat, turned) - y) / step)
-    return np.column_stack(columns) if columns else np.empty((len(y), 0))
-
-
-def _turned(flat: Flat, start: Start, phase_deg: float) -> tuple[Start, float]:
-    """A start whose zero is turned so that the fastest phase moves by so much, and by how much that is."""
-    step = phase_deg / max(flat.orders())
-    return start._replace(zero=(start.zero or 0.0) + step), step
-
-
-def _moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool, reach: float) -> Start:
-    """A start moved along the columns of its derivatives, its own zero by ``reach`` degrees of a phase at most."""
-    left = [float(s) for s in shift]
-    if has_own_zero(record, flat):
-        most = reach / max(flat.orders())
-        start = start._replace(zero=(start.zero or 0.0) + min(max(left.pop(), -most), most))
-    if windows:
-        return start
-    if record.kind == ANGLE:
-        start = start._replace(angle=start.angle + left.pop(0))
-    if not record.at_rest:
-        start = start._replace(speed=start.speed + left.pop(0))
-    if left:
-        start = start._replace(warmth=min(max(start.warmth + left.pop(0), 0.0), 1.0))
-    return start
 
 
 class _Problem:
@@ -141,10 +85,7 @@ class _Problem:
         return self.base.at(p)
 
     def residual(self, record: Record, start: Start, p: np.ndarray) -> np.ndarray:
-        flat = self.flat(p).from_zero(start.zero)
-        if self.windows:
-            return window_residuals(record, flat, free_states(record, flat, start))
-        return np.asarray(record.weights * (record.y - free_output(record, flat, start)))
+        return errors(record, self.flat(p), start, self.windows)
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
         return [self.residual(r, s, point.p) for r, s in zip(self.records, point.starts, strict=True)]
@@ -163,15 +104,8 @@ class _Problem:
         return out
 
     def nuisances(self, record: Record, start: Start, p: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Derivatives (n, q) by what is free at a record's start; windows leave but its own zero."""
-        flat = self.flat(p)
-        if not self.windows:
-            columns = _start_columns(record, flat, start, record.y - residual / record.weights)
-            return np.asarray(record.weights[:, None] * columns)
-        if not has_own_zero(record, flat):
-            return np.empty((len(residual), 0))
-        turned, step = _turned(flat, start, ZERO_STEP)
-        return np.asarray((residual - self.residual(record, turned, p)) / step)[:, None]
+        """Derivatives (n, q) by what is free at a record's start; windows leave but its warmth and its own zero."""
+        return start_columns(record, self.flat(p), start, self.windows, residual)
 
     def linearise(self, point: _Point, residuals: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Columns by parameter with the initial states projected out, and the columns of the initial states."""
@@ -250,8 +184,9 @@ def _solve(
                 if part.size == 0:
                     continue
                 shift = part[:, -1] - part[:, :-1] @ step
-                reach = ZERO_REACH * ZERO_SHRINKS**attempt
-                trial.starts[i] = _moved_start(record, flat, trial.starts[i], shift, problem.windows, reach)
+                trial.starts[i] = moved_start(
+                    record, flat, trial.starts[i], shift, problem.windows, REACH_SHRINKS**attempt
+                )
             new_residuals = problem.residuals(trial)
             new_cost = _sum_of_squares(new_residuals)
             if np.isfinite(new_cost) and new_cost <= cost:
@@ -270,43 +205,6 @@ def _solve(
     # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
     return point, residuals, projected, nuisances, cost, converged
-
-
-def _initial_starts(model: Model, records: Sequence[Record]) -> list[Start]:
-    flat = Flat.of(model)
-    return [initial_state(r, flat) for r in records]
-
-
-def _take_up_play(problem: _Problem, point: _Point) -> bool:
-    """Put the motor where in its gap suits the beginning of each record best; whether any changed."""
-    flat = problem.flat(point.p)
-    if not flat.gap:
-        return False
-    changed = False
-    for i, record in enumerate(problem.records):
-        was = point.starts[i]
-        begins = min(len(record), round(LASH_SHOWS_S / record.sample_time_s))
-
-        def left(play: float, drift: float, record: Record = record, was: Start = was, n: int = begins) -> float:
-            residual = record.y[:n] - free_output(record, flat, was._replace(play=play, drift=drift), n)
-            return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
-
-        play, drift = best_lash(flat, left)
-        if left(play, drift) < left(was.play, was.drift) * (1.0 - 1e-4):
-            point.starts[i] = was._replace(play=play, drift=drift)
-            changed = True
-    return changed
-
-
-def _with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
-    """The starts with every log's own zero, where it matters and is not known yet or one order left it open."""
-    several = len(set(flat.orders())) > 1
-    return [
-        start._replace(zero=find_zero(record, flat, near=start.zero))
-        if has_own_zero(record, flat) and (start.zero is None or several)
-        else start
-        for record, start in zip(records, starts, strict=True)
-    ]
 
 
 def _as_model(model: Model, names: Sequence[str], p: np.ndarray) -> Model:
@@ -338,13 +236,15 @@ def fit(
     if not records:
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
-    given = _initial_starts(model, records) if starts is None else _with_zeros(problem.base, records, starts)
+    given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts)
     point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if not windows else 0):
-        if not _take_up_play(problem, solved[0]):
+        point = solved[0]
+        play = taken_up_play(problem.flat(point.p), records, point.starts)
+        if play == point.starts:
             break
-        solved = _solve(problem, solved[0], max_iterations, tolerance)
+        solved = _solve(problem, _Point(point.p, play), max_iterations, tolerance)
     point, residuals, jacobians, nuisances, cost, converged = solved
     return Fit(
         model=_as_model(model, problem.names, point.p),
@@ -355,8 +255,15 @@ def fit(
         nuisances=tuple(nuisances),
         starts=tuple(point.starts),
         converged=converged,
-        samples=float(sum(len(r) if windows else r.weights @ r.weights for r in records)),
+        samples=float(sum(_readings(r) if windows else r.weights @ r.weights for r in records)),
+        windows=windows,
     )
+
+
+def _readings(record: Record) -> int:
+    """How many readings are in the windows that are looked at."""
+    firsts, lasts = record.looked_at()
+    return int((lasts - firsts).sum())
 
 
 def best_of(candidates: Sequence[Model], run: Callable[[Model], Fit]) -> Fit:
@@ -402,7 +309,9 @@ def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: boo
     return fit(near.model, records)
 
 
-def unchanged(model: Model, records: Sequence[Record], *, starts: Sequence[Start] | None = None) -> Fit:
+def unchanged(
+    model: Model, records: Sequence[Record], *, starts: Sequence[Start] | None = None, windows: bool = False
+) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records, starts=starts)
+    return fit(frozen, records, starts=starts, windows=windows)

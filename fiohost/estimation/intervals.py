@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from fiohost.estimation.fit import Fit
+from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 
 BLOCK_SAMPLES = 200
@@ -82,10 +83,11 @@ def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return sandwich(fit.residuals, fit.jacobians)
 
 
-def estimates(fit: Fit, replicas: Sequence[Model] = ()) -> dict[str, Estimate]:
+def estimates(fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0) -> dict[str, Estimate]:
     """Every number of the model with its interval; fixed ones have an interval of no width.
 
-    ``replicas`` are models as fitted to replicas of the data.
+    ``replicas`` are models as fitted to replicas of the data, ``count`` is the step of the sensor of angle: where
+    within the first count the zero lies, nobody knows, so places on the turn are known to half a count at best.
     """
     cov, determined = covariance(fit)
     found: dict[str, Estimate] = {}
@@ -101,7 +103,17 @@ def estimates(fit: Fit, replicas: Sequence[Model] = ()) -> dict[str, Estimate]:
         if len(replicas) > 1:
             drawn = [model.number(name) for model in replicas]
             half = max(half, float(stdtrit(len(drawn) - 1, 0.975) * np.std(drawn, ddof=1)))
+        half += 0.5 * count * _turns_with_zero(fit.model, name)
         low, high = max(value - half, parameter.lower), min(value + half, parameter.upper)
         at_bound = value <= parameter.lower or value >= parameter.upper
         found[name] = Estimate(value, parameter.unit, (low, high), bool(determined[i]), at_bound)
     return found
+
+
+def _turns_with_zero(model: Model, name: str) -> float:
+    """By how much a parameter moves for each degree that the zero of angle moves: places and phases do."""
+    of, parameter = effect(name.partition(".")[0]), model.parameter(name)
+    if not of.angle_bound or parameter.neutral is not None or not parameter.unit.startswith("deg"):
+        return 0.0
+    order = next((q for q in of.parameters if q.whole), None)
+    return model.number(f"{of.name}.{order.name}") if order and parameter.period is not None else 1.0

@@ -32,7 +32,8 @@ class Record:
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero. ``weights`` (n) are by what whole runs weigh the readings' errors.
+    where on the bench's turn its angle is zero. ``weights`` (n) are by what whole runs weigh the readings' errors,
+    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Record:
     rotary: bool
     own_zero: bool = False
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    every: int = 1
     weights: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
@@ -54,6 +56,11 @@ class Record:
     @property
     def seconds(self) -> float:
         return float(self.excitation.times_s[-1] - self.excitation.times_s[0])
+
+    def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first sample of every window that is looked at, and that after its last."""
+        firsts, lasts = self.windows[:-1][:: self.every], self.windows[1:][:: self.every]
+        return np.ascontiguousarray(firsts), np.ascontiguousarray(lasts)
 
     def first_second(self) -> int:
         """Number of samples in the first second, at least a handful."""

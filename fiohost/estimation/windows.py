@@ -65,7 +65,8 @@ def fit_windows(  # type: ignore[no-untyped-def]
     modes,
     clock,
     y,
-    edges,
+    firsts,
+    lasts,
     bases,
     free_speed,
     bends,
@@ -85,13 +86,14 @@ def fit_windows(  # type: ignore[no-untyped-def]
     by_speed,
     by_angle,
 ):
-    """Fit angle shift and speed of every window; ``bases`` (m, states) are the free run's states at the window starts.
+    """Fit angle shift and speed of the windows from ``firsts`` (m) up to ``lasts`` (m); ``bases`` (m, states) are the
+    free run's states at their first samples.
 
     Writes ``residuals`` (n), measured minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques
     depend on the angle, so that a shift is not just added to the output. The last six arguments are work space.
     """
-    for w in range(edges.shape[0] - 1):
-        a, b = edges[w], edges[w + 1]
+    for w in range(firsts.shape[0]):
+        a, b = firsts[w], lasts[w]
         n = b - a
         base = bases[w]
         shift, omega = 0.0, base[OMEGA]

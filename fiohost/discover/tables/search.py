@@ -25,7 +25,8 @@ from fiohost.discover.round import (
     beside,
     checked,
 )
-from fiohost.discover.search import MOST_EFFECTS, named_with
+from fiohost.discover.search import MOST_EFFECTS
+from fiohost.discover.step import named_with
 from fiohost.discover.tables.fit import (
     LOOKS,
     Evidence,

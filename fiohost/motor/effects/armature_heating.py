@@ -21,6 +21,7 @@ EFFECTS = (
             Parameter("rise_ratio", "", 0.5, 0.0, 20.0, step=1e-3),
             Parameter("time_constant_s", "s", 10.0, 0.5, 1000.0, neutral=None, step=1e-3, relative_step=True),
         ),
+        warms=True,
         trials=tuple({"rise_ratio": 1.0, "time_constant_s": t} for t in (3.0, 10.0, 40.0)),
         source="Isermann, Fault-Diagnosis Applications, DC motor; copper 0.39 % per kelvin",
         current=current,

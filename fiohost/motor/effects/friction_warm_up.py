@@ -16,6 +16,7 @@ EFFECTS = (
         stage=30,
         substep_s=0.005,
         commonness=6,
+        warms=True,
         signature="friction, not gain, drifts down while the shaft turns",
         parameters=(
             Parameter("ratio", "", 0.3, 0.0, 0.95, step=1e-3),

@@ -1,0 +1,49 @@
+"""What a search adds to a model, step by step, and what it comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiohost.discover.round import Candidate
+from fiohost.discover.stage import Stage
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect that was added, what spoke for it, and the names it cannot be told from.
+
+    ``rival_models`` are the fitted models of those that only this data cannot tell from it; ``others`` all that could
+    have been added in its place, and ``base_cost`` the left-out error they began from.
+    """
+
+    effect: str
+    stage: Stage
+    evidence: dict[str, object]
+    indistinguishable_from: tuple[str, ...]
+    rival_models: Mapping[str, Model] = field(default_factory=dict)
+    others: tuple[Candidate, ...] = ()
+    base_cost: float = np.inf
+
+
+@dataclass(frozen=True)
+class Found:
+    """The outcome of one search: the declared stage first, the final one last."""
+
+    stages: tuple[Stage, ...]
+    steps: tuple[Step, ...]
+    offered: tuple[Candidate, ...]
+
+    @property
+    def final(self) -> Stage:
+        return self.stages[-1]
+
+
+def named_with(winner: str, rivals: Mapping[str, Model]) -> tuple[str, ...]:
+    """The names that are said together with a winner: its exact equivalents, its rivals and theirs."""
+    names = [n for name in (winner, *rivals) for n in (name, *effect(name).equivalents)]
+    return tuple(n for n in dict.fromkeys(names) if n != winner)

@@ -1,0 +1,204 @@
+"""How a record begins: angle and speed from its first second, the place in a gap, warmth and the turn's own zero."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import gcd
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from fiohost.estimation.predict import Flat, errors, fitted_windows
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.simulate import Start, start_state
+from fiohost.motor.state import GAP, SHARE, SMALLEST_SHARE
+
+# Where a motor may stand in its gap, and how fast a load of its own inertia may drift there, in gaps per second: after
+# a sudden stop it goes on from wall to wall.
+PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
+MORE_PLAYS = (-0.75, -0.25, 0.25, 0.75)
+DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
+LASH_LOOKS = 40
+LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+# Up to this span of the residual the midpoint of its bounds says best where within its count a shaft stood.
+WITHIN_COUNTS = 1.5
+# Warmth is looked for at so many levels, then as near by windows and as close by whole runs as this.
+WARMTH_LOOKS, WARMTH_NEAR, WARMTH_CLOSE = 9, 0.02, 1e-4
+# A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
+ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
+# Around the best of them, in degrees of the phase: how far, from near, how close, and the most looks there.
+ZERO_REACH, ZERO_NEAR, ZERO_CLOSE, ZERO_MORE = 45.0, 10.0, 0.2, 16
+
+
+def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
+    """Angle and speed of the first samples, straight from the data."""
+    if record.at_rest:
+        return (float(y[0]) if record.kind == ANGLE else 0.0), 0.0
+    if record.kind != ANGLE:
+        return 0.0, float(np.median(y[:3]))
+    times = record.excitation.times_s[:6]
+    slope = float(np.polyfit(times, y[: len(times)], 1)[0])
+    return float(y[0]), slope
+
+
+def best_lash(flat: Flat, cost: Callable[[float, float], float]) -> tuple[float, float]:
+    """Where in a gap the motor stands at a start, -1 to 1, and the drift of a load that has an inertia of its own.
+
+    Sides, points between, and a finer search around the best; zeros without a gap.
+    """
+    if not flat.gap:
+        return 0.0, 0.0
+    gap = float(flat.p[GAP])
+    tried = {(play, 0.0): cost(play, 0.0) for play in PLAYS}
+    drifts = flat.p[SHARE] >= SMALLEST_SHARE
+    if drifts:
+        tried |= {(play, d * gap): cost(play, d * gap) for play in (*PLAYS, *MORE_PLAYS) for d in DRIFTS}
+    best = min(tried, key=lambda at: tried[at])
+
+    if not drifts:
+        low, high = max(best[0] - 0.5, -1.0), min(best[0] + 0.5, 1.0)
+        line = minimize_scalar(
+            lambda play: cost(play, 0.0), bounds=(low, high), method="bounded", options={"xatol": 0.01, "maxiter": 12}
+        )
+        return (float(line.x), 0.0) if line.fun < tried[best] * 0.999 else best
+    begin = np.array([best[0], best[1] / gap])
+    plane = minimize(  # type: ignore[call-overload]
+        lambda x: cost(float(np.clip(x[0], -1.0, 1.0)), float(x[1]) * gap),
+        begin,
+        method="Nelder-Mead",
+        options={"initial_simplex": begin + LASH_SIMPLEX, "maxfev": LASH_LOOKS},
+    )
+    if plane.fun >= tried[best] * 0.999:
+        return best
+    return float(np.clip(plane.x[0], -1.0, 1.0)), float(plane.x[1]) * gap
+
+
+def has_own_zero(record: Record, flat: Flat) -> bool:
+    """Whether where a record's zero is on the bench's turn is unknown and matters."""
+    return record.own_zero and bool(flat.phases)
+
+
+def _look_windows(record: Record, y: np.ndarray) -> list[tuple[int, int, float]]:
+    """Windows (first, end, speed at first) spread over a record in which the shaft moves."""
+    times, edges = record.excitation.times_s, record.windows
+    moving = [
+        (int(a), int(b))
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        if float(np.ptp(y[a:b])) > ZERO_MOTION_COUNTS * record.quantum
+    ]
+    chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), ZERO_WINDOWS)).round().astype(int))
+    found = []
+    for a, b in (moving[i] for i in chosen):
+        early = slice(a, min(a + max(5, (b - a) // 20), b))
+        found.append((a, b, float(np.polyfit(times[early] - times[a], y[early], 1)[0])))
+    return found
+
+
+def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: float | None = None) -> float:
+    """Where on the bench's turn a record's zero is, in degrees, from windows whose angle and speed are free.
+
+    Looked for all around what repeats with the turn; with ``near`` only there, and where other orders than one of the
+    model's would leave that one as it is. Then along the line: where the shaft sticks, slopes say little.
+    """
+    data = record.y if y is None else y
+    windows = _look_windows(record, data)
+    if not windows:
+        return near or 0.0
+    orders = flat.orders()
+    once, fastest = gcd(*orders), max(orders)
+
+    def cost(zero: float) -> float:
+        seen = flat.from_zero(zero)
+        total = 0.0
+        for a, b, speed in windows:
+            base = start_state(Start(float(data[a]), speed), seen.p, seen.on)[None, :]
+            residuals, _, _ = fitted_windows(record, seen, data, (np.array([a]), np.array([b])), base, True)
+            total += float(residuals @ residuals)
+        return total
+
+    if near is None:
+        looks = ZERO_LOOKS * (fastest // once)
+        zeros = [360.0 / once * i / looks for i in range(looks)]
+    else:
+        zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
+    best = min(zeros, key=cost) if len(zeros) > 1 else zeros[0]
+    reach = (ZERO_REACH if near is None else ZERO_NEAR) / fastest
+    found = minimize_scalar(
+        cost,
+        bounds=(best - reach, best + reach),
+        method="bounded",
+        options={"xatol": ZERO_CLOSE / fastest, "maxiter": ZERO_MORE},
+    )
+    zero = float(found.x) if found.fun < cost(best) else best
+    return (zero + 180.0) % 360.0 - 180.0
+
+
+def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, near: Start | None = None) -> Start:
+    """How a record begins, from its first second: least squares for angle and speed, the best side of any gap.
+
+    The speed is zero where the shaft begins at rest. A count bounds the angle on both sides, so where the model stays
+    about within one count of the data the midpoint of the bounds is sharper than the mean (set-membership estimate):
+    of a shaft that soon rests, the mean would be that one angle's place within its count. What the first second cannot
+    show, the warmth and where a log's own zero is, is from the whole record; ``near`` is how
+    the same shaft began, as far as it is known.
+    """
+    data = record.y if y is None else y
+    zero = find_zero(record, flat, data, near.zero if near else None) if has_own_zero(record, flat) else None
+    flat = flat.from_zero(zero)
+    start = _first_second(record, flat, data, 0.0)._replace(zero=zero)
+    if not flat.warms:
+        return start
+    warmth = initial_warmth(record, flat, start, data)
+    return _first_second(record, flat, data, warmth)._replace(zero=zero)
+
+
+def _first_second(record: Record, flat: Flat, y: np.ndarray, warmth: float) -> Start:
+    """How a record of output ``y`` (n) begins that is so warm, ``flat`` being for the record's zero."""
+    angle, speed = initial_guess(record, y)
+    first = (np.array([0], dtype=np.int64), np.array([record.first_second()], dtype=np.int64))
+
+    def attempt(play: float, drift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        base = start_state(Start(angle, speed, play, drift, warmth), flat.p, flat.on)[None, :]
+        residuals, shifts, speeds = fitted_windows(record, flat, y, first, base, not record.at_rest)
+        return residuals[: record.first_second()], shifts, speeds
+
+    def cost(play: float, drift: float) -> float:
+        residuals, _, _ = attempt(play, drift)
+        return float(residuals @ residuals)
+
+    play, drift = best_lash(flat, cost)
+    residuals, shifts, speeds = attempt(play, drift)
+    found = angle + float(shifts[0])
+    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= WITHIN_COUNTS * record.quantum:
+        found += 0.5 * float(residuals.max() + residuals.min())
+    return Start(found, float(speeds[0]), play, drift, warmth)
+
+
+def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
+    """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it.
+
+    Windows come near; then the whole run, which is sharper and, where the shaft sticks, rugged.
+    """
+
+    def in_windows(warmth: float) -> float:
+        error = errors(record, flat, start._replace(warmth=warmth), True, y)
+        return float(error @ error)
+
+    def in_whole(warmth: float) -> float:
+        error, weights = errors(record, flat, start._replace(warmth=warmth), False, y), record.weights
+        if record.kind == ANGLE:
+            error = error - weights * float(error @ weights) / float(weights @ weights)
+        return float(error @ error)
+
+    near = _least(in_windows, 0.0, 1.0, WARMTH_NEAR)
+    return _least(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0), WARMTH_CLOSE)
+
+
+def _least(cost: Callable[[float], float], low: float, high: float, xatol: float) -> float:
+    """Where a cost is least between two ends: the best of some looks, then along the line around it."""
+    looks = np.linspace(low, high, WARMTH_LOOKS)
+    costs = [cost(float(w)) for w in looks]
+    best = int(np.argmin(costs))
+    bounds = (float(looks[max(best - 1, 0)]), float(looks[min(best + 1, len(looks) - 1)]))
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": xatol, "maxiter": 20})
+    return float(found.x) if found.fun < costs[best] else float(looks[best])

@@ -1,0 +1,102 @@
+"""Where records begin while a model is fitted to them: derivatives by what is free there, and steps along them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fiohost.estimation.initial import best_lash, find_zero, has_own_zero, initial_state
+from fiohost.estimation.predict import Flat, errors, free_output
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.simulate import Start
+from fiohost.motor.state import GAIN
+
+# Where the motor stood in its gap shows until both have met on either side.
+LASH_SHOWS_S = 4.0
+# A log's own zero, in degrees of the phase that it turns, and its warmth: difference, and the longest step of one
+# iteration.
+ZERO_STEP, ZERO_REACH = 0.1, 30.0
+WARMTH_STEP, WARMTH_REACH = 0.01, 0.3
+
+
+def start_columns(record: Record, flat: Flat, start: Start, windows: bool, residual: np.ndarray) -> np.ndarray:
+    """Derivatives (n, 0..4) of what is simulated by the initial angle, speed, warmth and own zero, where these are
+    free: windows leave but the last two, and a warmth at a bound that the ``residual`` (n) pulls against stays there.
+    """
+    columns: list[np.ndarray] = []
+
+    def by(moved: Start, step: float) -> np.ndarray:
+        return np.asarray((residual - errors(record, flat, moved, windows)) / step)
+
+    if record.kind == ANGLE and not windows:
+        step = 1e-6 * 100.0 * abs(float(flat.p[GAIN]))
+        columns.append(by(start._replace(angle=start.angle + step), step) if flat.bends else record.weights)
+    if not record.at_rest and not windows:
+        step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
+        columns.append(by(start._replace(speed=start.speed + step), step))
+    if flat.warms:
+        step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
+        warmth = by(start._replace(warmth=start.warmth + step), step)
+        pull = float(warmth @ residual)
+        if (start.warmth > 0.0 or pull > 0.0) and (start.warmth < 1.0 or pull < 0.0):
+            columns.append(warmth)
+    if has_own_zero(record, flat):
+        columns.append(by(*_turned(flat, start, ZERO_STEP)))
+    return np.column_stack(columns) if columns else np.empty((len(residual), 0))
+
+
+def _turned(flat: Flat, start: Start, phase_deg: float) -> tuple[Start, float]:
+    """A start whose zero is turned so that the fastest phase moves by so much, and by how much that is."""
+    step = phase_deg / max(flat.orders())
+    return start._replace(zero=(start.zero or 0.0) + step), step
+
+
+def moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool, share: float) -> Start:
+    """A start moved along the columns of its derivatives, warmth and own zero by a share of their reach at most."""
+    left = [float(s) for s in shift]
+    if has_own_zero(record, flat):
+        most = share * ZERO_REACH / max(flat.orders())
+        start = start._replace(zero=(start.zero or 0.0) + min(max(left.pop(), -most), most))
+    if record.kind == ANGLE and not windows:
+        start = start._replace(angle=start.angle + left.pop(0))
+    if not record.at_rest and not windows:
+        start = start._replace(speed=start.speed + left.pop(0))
+    if left:
+        most = share * WARMTH_REACH
+        start = start._replace(warmth=min(max(start.warmth + min(max(left.pop(0), -most), most), 0.0), 1.0))
+    return start
+
+
+def first_starts(flat: Flat, records: Sequence[Record]) -> list[Start]:
+    """How the records begin, each for itself."""
+    return [initial_state(r, flat) for r in records]
+
+
+def taken_up_play(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
+    """The starts with the motor where in its gap suits the beginning of each record best."""
+    if not flat.gap:
+        return list(starts)
+    found = []
+    for record, was in zip(records, starts, strict=True):
+        begins = min(len(record), round(LASH_SHOWS_S / record.sample_time_s))
+
+        def left(play: float, drift: float, record: Record = record, was: Start = was, n: int = begins) -> float:
+            residual = record.y[:n] - free_output(record, flat, was._replace(play=play, drift=drift), n)
+            return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
+
+        play, drift = best_lash(flat, left)
+        pays = left(play, drift) < left(was.play, was.drift) * (1.0 - 1e-4)
+        found.append(was._replace(play=play, drift=drift) if pays else was)
+    return found
+
+
+def with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
+    """The starts with every log's own zero, where it matters and is not known yet or one order left it open."""
+    several = len(set(flat.orders())) > 1
+    return [
+        start._replace(zero=find_zero(record, flat, near=start.zero))
+        if has_own_zero(record, flat) and (start.zero is None or several)
+        else start
+        for record, start in zip(records, starts, strict=True)
+    ]

@@ -1,0 +1,90 @@
+"""What gradients alone do not find: the moment of an event, how warm a shaft begins, where zero lies in its count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_data import QUANTUM_DEG, measure, steps, suite, truth_model
+
+from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.metrics import judge
+from fiohost.discover.moments import fit_event
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.initial import initial_state
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+
+COUNT_NOISE = QUANTUM_DEG / np.sqrt(12.0)
+
+
+@pytest.mark.parametrize("which", effect("parameter_change").parameter("which").choices)
+def test_the_moment_of_an_event_is_found_from_windows(which: str) -> None:
+    rng = np.random.default_rng()
+    time, ratio = rng.uniform(4.0, 8.0), rng.choice((-1.0, 1.0)) * rng.uniform(0.2, 0.5)
+    event = {"parameter_change.time_s": time, "parameter_change.which": which, "parameter_change.ratio": 1.0 + ratio}
+    records = suite(truth_model(("coulomb_friction", "parameter_change"), event), int(rng.integers(2**32)))
+    base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
+    found = fit_event(base, effect("parameter_change"), records)
+    assert found.model.values["parameter_change.which"] == which
+    assert found.model.number("parameter_change.time_s") == pytest.approx(time, abs=0.05)
+    assert found.model.number("parameter_change.ratio") == pytest.approx(1.0 + ratio, rel=0.02)
+    assert found.rms < 2.0 * COUNT_NOISE < base.rms
+
+
+def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
+    rng = np.random.default_rng(5)
+    warming = {"friction_warm_up.ratio": 0.6, "friction_warm_up.time_constant_s": 40.0}
+    truth = truth_model(("coulomb_friction", "friction_warm_up"), warming)
+    record = measure(truth, steps(20.0, rng), rng)
+    warm = free_output(record, Flat.of(truth), Start(0.2, 0.0, warmth=0.7))
+    begun = replace(record, y=np.floor(warm / QUANTUM_DEG) * QUANTUM_DEG)
+    assert initial_state(begun, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
+    assert judge(begun, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
+
+
+def test_a_place_on_the_turn_is_not_known_better_than_to_half_a_count() -> None:
+    ripple = {"cogging_torque.order": 4.0, "cogging_torque.level_pct": 1.5, "cogging_torque.phase_deg": 40.0}
+    found = fit(truth_model(("coulomb_friction", "cogging_torque"), ripple), suite(truth_model(), 8))
+    plain, counted = estimates(found), estimates(found, count=QUANTUM_DEG)
+    wider = {k: counted[k].half_width - plain[k].half_width for k in found.names}
+    assert wider.pop("cogging_torque.phase_deg") == pytest.approx(0.5 * QUANTUM_DEG * 4)
+    assert set(wider.values()) == {0.0}
+
+
+def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
+    values = {
+        "asymmetric_coulomb_friction.forward_pct": 5.0,
+        "asymmetric_coulomb_friction.reverse_pct": 3.5,
+        "friction_warm_up.ratio": 0.6,
+        "friction_warm_up.time_constant_s": 15.0,
+    }
+    records = suite(truth_model(("asymmetric_coulomb_friction", "friction_warm_up"), values), 11, 15.0)
+    said: list[str] = []
+    library = ["constant_load", "asymmetric_coulomb_friction", "friction_warm_up", "supply_drift", "stribeck_friction"]
+    declared = Model.parse("linear+coulomb_friction")
+    found = diagnose_records(records, (), declared, library=library, say=said.append)
+    assert any("looking at windows" in text for text in said), said
+    # A load is the mean of a friction that differs by direction, but it stays as friction warms up.
+    assert "asymmetric_coulomb_friction takes the place of constant_load" in said, said
+    assert {s.effect for s in found.steps} == {"asymmetric_coulomb_friction", "friction_warm_up"}, said
+    assert found.verdict == "explained"
+
+
+def test_where_whole_runs_can_never_be_followed_the_commonest_is_named_and_the_others_with_it() -> None:
+    rng = np.random.default_rng(4)
+    records = []
+    for k, duty_pct in enumerate((20.0, 35.0, 50.0, 65.0, 80.0)):  # one way only, and no run repeats another's speed
+        gain = 10.6 * (1.0 + 0.005 * rng.standard_normal())
+        truth = truth_model().with_values({"linear.gain_deg_s_per_pct": gain})
+        records.append(measure(truth, np.full(2000, duty_pct), rng, name=f"run {k}"))
+    library = ["coulomb_friction", "bridge_voltage_drop", "constant_load", "input_deadband"]
+    found = diagnose_records(records, (), Model.parse("linear"), library=library)
+    assert found.verdict == "unexplained"
+    (step,) = found.steps
+    assert step.effect == "coulomb_friction"
+    assert {"constant_load", "input_deadband", "bridge_voltage_drop"} <= {*step.indistinguishable_from}
