@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -192,6 +194,24 @@ def test_a_display_that_hangs_is_braked_for_and_may_come_back(monkeypatch: pytes
     assert braked[0] * 0.005 == pytest.approx(link.HANG_S, abs=0.05)
     assert "did not answer" in script.answers[0]["note"]
     assert log.duty_pct[-1] == 20.0
+
+
+def test_a_display_that_was_closed_stays_until_the_bench_has_heard_it() -> None:
+    bench, display = multiprocessing.Pipe()
+
+    def leave() -> None:
+        link.Remote(display).closed()
+        display.close()
+
+    bench.send_bytes(b"an answer that nobody waits for any more")
+    leaving = threading.Thread(target=leave)
+    leaving.start()
+    leaving.join(0.3)
+    assert leaving.is_alive()
+    assert json.loads(bench.recv_bytes()) == {"closed": True}
+    bench.close()
+    leaving.join(2.0)
+    assert not leaving.is_alive()
 
 
 # ---- the command ---------------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from fiohost.panel.controls import Controls
 
 HANG_S = 2.0  # a display that asks for no frame so long is taken for dead, and the motor is braked
 READING_S = 0.02  # between two readings that are shown
+GOODBYE_S = 3.0  # that a closed display waits for the bench to have heard it
 MAX_MESSAGE_BYTES = 500
 MAX_MESSAGES_A_TICK = 20
 MAX_READINGS = 100  # in one answer: small enough never to fill a pipe
@@ -181,8 +182,15 @@ class Remote:
         self._send({"failed": why})
 
     def closed(self) -> None:
-        """Say that a person has closed the display: the session ends well."""
+        """Say that a person has closed the display: the session ends well.
+
+        Stays until the bench has ended the link: leaving an answer unread, or the bench one that nobody can take, would
+        break the link before it is heard.
+        """
         self._send({"closed": True})
+        with suppress(EOFError, OSError):
+            while self._bench.poll(GOODBYE_S):
+                self._bench.recv_bytes()
 
     def _send(self, message: dict[str, Any]) -> None:
         try:

@@ -36,6 +36,8 @@ def show(remote: Remote, facts: Facts) -> None:
     ended: list[Exception] = []
 
     def frame() -> None:
+        if not plt.fignum_exists(manager.num):  # a person has closed it, and the toolkit has not come to that yet
+            return
         try:
             news = remote.news()
             if news is not None:
