@@ -82,15 +82,15 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "presliding_friction": lambda r, m: {"breakaway_rad": math.radians(spread(r, 0.2, 3.0))},
     "load_dependent_friction": lambda r, m: {"ratio": spread(r, 0.02, 0.3)},
     "quadratic_drag": lambda r, m: {"drag_Nms2": spread(r, 0.003, 0.08) * stall_Nm(m) / math.radians(1000.0) ** 2},
-    "constant_load": lambda r, m: {"torque_Nm": sign(r) * spread(r, 0.002, 0.06) * stall_Nm(m)},
+    "constant_load": lambda r, m: {"torque_Nm": sign(r) * spread(r, 0.00002, 0.06) * stall_Nm(m)},
     "gravity_load": lambda r, m: {"torque_Nm": spread(r, 0.002, 0.08) * stall_Nm(m), "phase_rad": _turn(r)},
     "cogging_torque": lambda r, m: {
         "order": float(r.choice((2, 3, 4, 6, 8, 12, 15, 20))),
-        "torque_Nm": spread(r, 0.01, 0.06) * stall_Nm(m),
+        "torque_Nm": spread(r, 0.001, 0.06) * stall_Nm(m),
         "phase_rad": _turn(r),
     },
     "position_dependent_friction": lambda r, m: {
-        "ratio": r.uniform(0.1, 0.6),
+        "ratio": spread(r, 0.01, 0.6),
         "order": float(r.choice((1, 1, 2, 4))),
         "phase_rad": _turn(r),
     },
@@ -101,7 +101,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "bridge_voltage_drop": lambda r, m: {"drop_V": spread(r, 0.005, 0.06) * SUPPLY_V},
     "pwm_dead_time": lambda r, m: {"time_s": spread(r, 0.2e-6, 4e-6)},
     "fast_decay": lambda r, m: {},
-    "duty_curve": lambda r, m: {"exponent": 1.0 + sign(r) * spread(r, 0.01, 0.3)},
+    "duty_curve": lambda r, m: {"exponent": 1.0 + sign(r) * spread(r, 0.0005, 0.3)},
     "pwm_resolution": lambda r, m: {"levels": float(r.choice((10, 16, 20, 32, 50, 64, 100)))},
     "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(35.0, 85.0)},
     "current_limit": lambda r, m: {"limit_A": r.uniform(0.3, 0.9) * SUPPLY_V / m["R_ohm"]},
@@ -114,7 +114,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "friction_warm_up": lambda r, m: {"ratio": r.uniform(0.15, 0.6), "time_constant_s": spread(r, 4.0, 60.0)},
     "armature_inductance": lambda r, m: {"inductance_H": spread(r, 0.0007, 0.012) * m["R_ohm"]},
     "transport_delay": lambda r, m: {"delay_s": spread(r, 0.0007, 0.04)},
-    "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + sign(r) * spread(r, 0.003, 0.2)},
+    "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + sign(r) * spread(r, 0.0003, 0.2)},
     "encoder_eccentricity": lambda r, m: {
         "level_rad": math.radians(spread(r, 0.2, 2.0)),
         "order": float(r.choice((1, 1, 2, 4, 15))),
@@ -136,7 +136,7 @@ def _asymmetric(rng: random.Random, m: Values) -> Values:
 
 
 def _edges(rng: random.Random) -> Values:
-    wide = spread(rng, 1.0, 10.0)
+    wide = spread(rng, 0.02, 10.0)
     narrow = wide * rng.uniform(0.2, 0.7)
     plus, minus = (wide, narrow) if rng.random() < 0.5 else (narrow, wide)
     return {"u_plus_pct": plus, "u_minus_pct": -minus}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, measure, steps, suite, truth_model
 
+from fiohost.discover.clock import in_sequence
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
@@ -45,6 +46,48 @@ def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     begun = replace(record, y=np.floor(warm / QUANTUM_DEG) * QUANTUM_DEG)
     assert initial_state(begun, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
     assert judge(begun, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
+
+
+def test_friction_that_falls_with_time_alone_is_told_from_one_that_falls_as_the_shaft_runs() -> None:
+    rng = np.random.default_rng()
+    follows = str(rng.choice(effect("friction_warm_up").parameter("follows").choices))
+    warming = {
+        "friction_warm_up.ratio": rng.uniform(0.3, 0.6),
+        "friction_warm_up.time_constant_s": rng.uniform(4.0, 15.0),
+    }
+    values = {**warming, "friction_warm_up.follows": follows}
+    records = suite(truth_model(("coulomb_friction", "friction_warm_up"), values), int(rng.integers(2**32)), 15.0)
+    found = diagnose_records(
+        records, (), Model.parse("linear+coulomb_friction"), library=["friction_warm_up", "supply_drift"]
+    )
+    assert [s.effect for s in found.steps] == ["friction_warm_up"]
+    assert found.final.fit.model.values["friction_warm_up.follows"] == follows
+    assert found.verdict == "explained"
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_an_event_in_one_of_several_logs_is_found_whether_or_not_they_say_when_they_were_begun(told: bool) -> None:
+    rng = np.random.default_rng()
+    before, after = truth_model(), truth_model(("coulomb_friction",), {"linear.tau_s": 0.06})
+    logs = [measure(m, steps(12.0, rng), rng) for m in (before, before, after, after)]
+    records = in_sequence(logs) if told else logs
+    found = diagnose_records(records[:3], records[3:], Model.parse("linear+coulomb_friction"))
+    assert [s.effect for s in found.steps] == ["parameter_change"]
+    assert found.one_clock is not told
+    assert 23.5 <= found.final.fit.model.number("parameter_change.time_s") <= 25.0
+    assert found.verdict == "explained"
+    assert found.after_holdout[0].errors.window_rms < 1.1 * found.floor_holdout[0].errors.window_rms
+
+
+def test_what_nobody_would_miss_is_no_missing_effect() -> None:
+    """Another's step of integration, say, may put whole runs a fraction of a count off."""
+    records, flat = suite(truth_model(), 6), Flat.of(truth_model())
+    paths = [free_output(r, flat, Start(0.1, 0.0)) for r in records]
+    astray = [y + 0.35 * QUANTUM_DEG * np.sin(np.arange(len(y)) * 0.005 / 2.0) for y in paths]
+    bent = [replace(r, y=np.floor(y / QUANTUM_DEG) * QUANTUM_DEG) for r, y in zip(records, astray, strict=True)]
+    found = diagnose_records(bent, (), Model.parse("linear+coulomb_friction"), library=["supply_drift"])
+    assert not found.final.at_floor
+    assert found.verdict == "no_missing_effect"
 
 
 def test_a_place_on_the_turn_is_not_known_better_than_to_half_a_count() -> None:

@@ -123,6 +123,17 @@ def test_a_gap_before_the_load_conserves_momentum_at_impact_and_vanishes_without
     assert np.max(np.abs(states[:, 0] - states[:, 2])) <= 2.0 + 1e-9
 
 
+def test_a_gap_is_crossed_alike_wherever_on_a_long_way_it_is() -> None:
+    """Far angles are told apart less finely: contact must not be lost and made again without end there."""
+    rng = np.random.default_rng(7)
+    ex = held(rng.uniform(-60, 60, 40).tolist(), 0.25)
+    for gap_deg in (3.7, 68.4475):
+        values = {**LINEAR, "backlash.side": "encoder_before_gap", "backlash.gap_deg": gap_deg}
+        model = Model(("backlash",), {**values, "backlash.load_inertia_ratio": 0.3})
+        near, far = free_run(model, ex, 0.0, 0.0), free_run(model, ex, 3e5, 0.0)
+        assert np.max(np.abs(far - 3e5 - near)) < 1e-3
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

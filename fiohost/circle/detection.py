@@ -45,7 +45,7 @@ def smallest_visible(
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")
         search = Search(records, np.random.default_rng(seed), library, say)
         stage = declared_alone(search, declared, declared.given).stages[0]
-        if not stage.at_floor:
+        if not stage.follows:
             raise DataError(
                 f"{declared.expression} leaves something unexplained in these logs, which hides how small an effect "
                 "would show; fiohost diagnose names it, --save-model writes the model to give here"

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fiohost.discover.clock import by_one_clock, in_sequence
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
@@ -54,6 +55,7 @@ class Diagnosis:
     seconds: float
     files: dict[str, dict[str, str]] = field(default_factory=dict)
     outlook: Outlook = field(default_factory=Outlook)
+    one_clock: bool = False
 
     @property
     def final(self) -> Stage:
@@ -61,7 +63,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        if not self.final.at_floor:
+        if not self.final.follows:
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
 
@@ -115,6 +117,9 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     found = _searched(train, model, library, from_file, rng, say)
+    if found.one_clock:
+        ordered = in_sequence([*train, *holdout])
+        train, holdout = ordered[: len(train)], ordered[len(train) :]
     declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.final
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
@@ -133,6 +138,7 @@ def _diagnose(
         preliminary=preliminary,
         seconds=time.monotonic() - began,
         files=files,
+        one_clock=found.one_clock,
     )
 
 
@@ -152,14 +158,16 @@ def _searched(
     whole = Search(train, rng, library, say)
     alone = declared_alone(whole, model, from_file)
     found = select(whole, alone)
+    if not found.final.follows and (timed := by_one_clock(train, model, library, from_file, rng, say)):
+        return timed
     left = found.final.windows_above_floor
-    if not found.final.at_floor and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS)):
+    if not found.final.follows and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS)):
         say(f"whole runs stay unexplained: looking at windows of {WINDOW_S:g} s")
         seen = select(Search(train, rng, library, say, windows=True), alone)
         if seen.steps and not seen.final.fit.windows:
             seen = select(whole, seen)
             found = seen if _window_rms(seen) < BETTER * _window_rms(found) else found
-    if not found.final.at_floor and found.final.lost:
+    if not found.final.follows and found.final.lost:
         say("still far from the floor: beginning anew with each effect")
         other = select(Search(train, rng, library, say, anew=True), alone)
         found = other if other.final.fit.rms < BETTER * found.final.fit.rms else found

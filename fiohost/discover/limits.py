@@ -77,7 +77,7 @@ class Limits:
         self.edges = np.cumsum([0, *(len(r) for r in records)])
         lag_s = self.model.number("linear.tau_s")
         self.logs = [
-            _Log(r, j, {e.figure: e.limit for e in stage.excesses if e.record == r.name}, lag_s)
+            _Log(r, j, {e.figure: e.allowed for e in stage.excesses if e.record == r.name}, lag_s)
             for r, j in zip(records, stage.judgements, strict=True)
         ]
 

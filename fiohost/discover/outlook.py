@@ -54,7 +54,7 @@ def look_ahead(
         upcoming = propose(found.verdict, found.final, found.steps, found.train, seen, follows, offers, say)
         sizes: list[Limit] = []
         # Beside what is there and unexplained, no size of anything else can be told.
-        if found.final.at_floor and (limits or not found.steps):
+        if found.final.follows and (limits or not found.steps):
             say("finding how small an effect would have been seen")
             sizes = detection_limits(found.final, found.train, library)
     return replace(

@@ -75,6 +75,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         **found.preliminary.to_json(),
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(found, declared)},
         "verdict": found.verdict,
+        "clock": "logs one after the other" if found.one_clock else "as the logs say",
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
             {
@@ -100,8 +101,8 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for c in sorted(found.candidates, key=lambda c: c.score, reverse=True)
         ],
         "residual": {
-            "white": final.at_floor,
-            "depends_on": [d.variable for d in found.residual if d.significant] if not final.at_floor else [],
+            "white": final.follows,
+            "depends_on": [d.variable for d in found.residual if d.significant] if not final.follows else [],
             "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {
                 **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},

@@ -91,7 +91,7 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     """Score, refit and cross-validate every candidate around one stage."""
     screen = Screen(stage.fit, context.records)
     offered = candidates(stage.fit.model, context.records, context.library)
-    if not first:  # the little that another effect leaves can always be blamed on an event
+    if not (first or stage.lost):  # the little that another effect leaves can always be blamed on an event
         offered = [e for e in offered if not e.once]
     context.say(f"scoring {len(offered)} effects against the residual of {stage.fit.model.expression}")
     scores = sorted(each(screen.score, offered), key=lambda s: s.share, reverse=True)

@@ -148,6 +148,11 @@ def _explained_share(before: Stage, after: Stage) -> float:
     return max((1.0 - left / was for was, left in pairs if was > 0.0), default=0.0)
 
 
+def _finished(stage: Stage, steps: Sequence[Step]) -> bool:
+    """Whether to look no further: at the floor or, where nothing is named yet, as close to it as matters."""
+    return len(steps) >= MOST_EFFECTS or (stage.at_floor if steps else stage.follows)
+
+
 def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
     """Where every search begins: the declared model fitted to whole runs and judged."""
     return Found((search.stage(fit_from_scratch(model, search.records, keep_start=from_file)),), (), ())
@@ -166,7 +171,7 @@ def select(search: Search, begun: Found) -> Found:
         stage = judged(near, search.records, search.train, rng)
     steps: list[Step] = list(begun.steps)
     offered: list[Candidate] = list(begun.offered)
-    while not stage.at_floor and stage.fit.windows == windows and len(steps) < MOST_EFFECTS:
+    while not _finished(stage, steps) and stage.fit.windows == windows:
         outcome = run_round(search.context, stage, first=not steps)
         offered, winner = outcome.candidates, outcome.winner
         if winner is None or winner.validated is None:

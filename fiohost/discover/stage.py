@@ -9,7 +9,7 @@ import numpy as np
 
 from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, replica_models
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit
+from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit, no_matter
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
@@ -37,6 +37,11 @@ class Stage:
     @property
     def at_floor(self) -> bool:
         return at_floor(self.excesses)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the model follows the data as closely as it matters, at the floor or a fraction of a count off."""
+        return no_matter(self.excesses)
 
     @property
     def lost(self) -> bool:
@@ -83,14 +88,13 @@ class Stage:
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
     """Judge a fit on whole records; it may have been fitted to pieces of them."""
     judgements = each(lambda r: judge(r, fitted.model), records)
-    names = [r.name for r in records]
     models = replica_models(fitted, fitted_records, rng)
     found = floors(records, fitted.model, judgements, models, rng)
-    above = excesses(names, judgements, found)
+    above = excesses(records, judgements, found)
     near = near_limit(above)
     scattered = replica_models(fitted, fitted_records, rng, MORE_REPLICAS if near else REPLICAS, anywhere=True)
     if near:
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
         found = floors(records, fitted.model, judgements, [*models, *scattered], rng)
-        above = excesses(names, judgements, found)
+        above = excesses(records, judgements, found)
     return Stage(fitted, tuple(models), tuple(scattered[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))

@@ -32,11 +32,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Found:
-    """The outcome of one search: the declared stage first, the final one last."""
+    """The outcome of one search: the declared stage first, the final one last. ``one_clock`` says that its records were
+    taken for one after the other.
+    """
 
     stages: tuple[Stage, ...]
     steps: tuple[Step, ...]
     offered: tuple[Candidate, ...]
+    one_clock: bool = False
 
     @property
     def final(self) -> Stage:

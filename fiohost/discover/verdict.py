@@ -9,6 +9,7 @@ import numpy as np
 
 from fiohost.discover.floor import Floor
 from fiohost.discover.metrics import Judgement
+from fiohost.estimation.record import Record
 
 SIGMAS = 4.0
 NEAR = 4.0
@@ -19,31 +20,37 @@ class Rule:
     """How far a figure may stand above its replicas: a factor on them and a margin in the figure's own unit.
 
     A model that is right but for the last digits of its parameters stays within these. Free runs are taken as a fit
-    weighs them: at rest they hang on last digits, which windows do not.
+    weighs them: at rest they hang on last digits, which windows do not. ``counts`` and ``points`` (of percent) are how
+    much more nobody would call missing: no two simulators, and no bench twice, agree to a third of a count.
     """
 
     figure: str
     factor: float
     margin: float
     by_scatter: bool
+    counts: float = 0.0
+    points: float = 0.0
 
 
 RULES = (
-    Rule("free_run_rms", 1.25, 0.0, True),
-    Rule("window_rms", 1.03, 0.0, True),
-    Rule("bin_violation_pct", 2.0, 6.0, False),
-    Rule("wide_windows_pct", 1.0, 3.0, False),
+    Rule("free_run_rms", 1.25, 0.0, True, counts=0.35),
+    Rule("window_rms", 1.03, 0.0, True, counts=0.1),
+    Rule("bin_violation_pct", 2.0, 6.0, False, points=24.0),
+    Rule("wide_windows_pct", 1.0, 3.0, False, points=7.0),
 )
 
 
 @dataclass(frozen=True)
 class Excess:
-    """How far one figure of one record stands above its replicas."""
+    """How far one figure of one record stands above its replicas: ``limit`` is theirs, ``allowed`` what is no matter
+    yet.
+    """
 
     record: str
     figure: str
     value: float
     limit: float
+    allowed: float
 
     @property
     def exceeded(self) -> bool:
@@ -66,13 +73,13 @@ def _limit(rule: Rule, floor: Floor, draws: np.ndarray) -> float:
     return top * (rule.factor if not rule.by_scatter else 1.0) + rule.margin
 
 
-def excesses(names: Sequence[str], judgements: Sequence[Judgement], floors: Sequence[Floor]) -> list[Excess]:
+def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors: Sequence[Floor]) -> list[Excess]:
     """Every tested figure of every record with its limit; figures that a record does not have are left out.
 
     Where repeats of an experiment scatter more than the counts, only the figures that scatter is known of are tested.
     """
     found = []
-    for name, judgement, floor in zip(names, judgements, floors, strict=True):
+    for record, judgement, floor in zip(records, judgements, floors, strict=True):
         for rule in RULES:
             value = _figure(judgement, rule.figure)
             draws = [_figure(d, rule.figure) for d in floor.draws]
@@ -82,7 +89,8 @@ def excesses(names: Sequence[str], judgements: Sequence[Judgement], floors: Sequ
             limit = _limit(rule, floor, np.array(known))
             if rule.figure == "wide_windows_pct":  # one window more proves nothing
                 limit = max(limit, max(known) + 100.5 / judgement.windows)
-            found.append(Excess(name, rule.figure, value, limit))
+            allowed = float(np.hypot(limit, rule.counts * record.quantum)) + rule.points
+            found.append(Excess(record.name, rule.figure, value, limit, allowed))
     return found
 
 
@@ -94,3 +102,8 @@ def near_limit(found: Sequence[Excess]) -> bool:
 
 def at_floor(found: Sequence[Excess]) -> bool:
     return not any(e.exceeded for e in found)
+
+
+def no_matter(found: Sequence[Excess]) -> bool:
+    """Whether nothing stands so far above the floor that it would be missed."""
+    return not any(e.value > e.allowed for e in found)

@@ -148,7 +148,7 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, ne
     start = _first_second(record, flat, data, 0.0)._replace(zero=zero)
     if not flat.warms:
         return start
-    warmth = initial_warmth(record, flat, start, data)
+    warmth = initial_warmth(record, flat, start, data, near.warmth if near else None)
     return _first_second(record, flat, data, warmth)._replace(zero=zero)
 
 
@@ -174,10 +174,11 @@ def _first_second(record: Record, flat: Flat, y: np.ndarray, warmth: float) -> S
     return Start(found, float(speeds[0]), play, drift, warmth)
 
 
-def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
+def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near: float | None = None) -> float:
     """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it.
 
-    Windows come near; then the whole run, which is sharper and, where the shaft sticks, rugged.
+    Windows come ``near`` where nothing else does; then the whole run, which is sharper and, where the shaft sticks,
+    rugged.
     """
 
     def in_windows(warmth: float) -> float:
@@ -190,7 +191,8 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> f
             error = error - weights * float(error @ weights) / float(weights @ weights)
         return float(error @ error)
 
-    near = _least(in_windows, 0.0, 1.0, WARMTH_NEAR)
+    if near is None:
+        near = _least(in_windows, 0.0, 1.0, WARMTH_NEAR)
     return _least(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0), WARMTH_CLOSE)
 
 

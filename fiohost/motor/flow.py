@@ -29,6 +29,7 @@ from fiohost.motor.state import (
     STANDBY,
     TAU,
     WARMING,
+    WARMING_BY,
     WARMING_ON,
     WINDING,
 )
@@ -153,5 +154,5 @@ def relax(state, omega, drive, dt, p, on):  # type: ignore[no-untyped-def]
         else:
             state[WINDING] = cold_loss / falls + (state[WINDING] - cold_loss / falls) * exp(-falls * dt / p[HEATING])
     if on[WARMING_ON]:
-        running = 1.0 if omega != 0.0 else 0.0
-        state[BEARING] = running + (state[BEARING] - running) * exp(-dt / p[WARMING])
+        warming = 1.0 if omega != 0.0 or p[WARMING_BY] == 1.0 else 0.0
+        state[BEARING] = warming + (state[BEARING] - warming) * exp(-dt / p[WARMING])

@@ -125,16 +125,17 @@ def advance_gap(state, duty, mode, time, span, substep, p, on):  # type: ignore[
                     after = 0.0
         if contact == 0.0:
             play = theta - load_theta
+            touching = 1e-12 + 1e-15 * abs(theta)  # as close as far angles can be told apart
             hit = -1.0
             wall = 0.0
             for candidate in (half, -half):
                 slack = candidate - play
                 closing = candidate > 0.0
-                if abs(slack) < 1e-12:
+                if abs(slack) < touching:
                     outward = (omega - load_omega) * candidate
                     if outward < 0.0 or (outward == 0.0 and (gain * net - (omega if emf else 0.0)) * candidate <= 0.0):
                         continue
-                    slack = 1e-12 if closing else -1e-12
+                    slack = touching if closing else -touching
                 if direction == 0.0:
                     at = slack / -load_omega if load_omega != 0.0 else -1.0
                     if at > dt:

@@ -34,6 +34,7 @@ BRISTLE_ON, BREAKAWAY = EFFECT_INDEX["presliding_friction"], layout()["preslidin
 HEATING_ON, RISE = EFFECT_INDEX["armature_heating"], layout()["armature_heating"]
 HEATING = RISE + 1
 WARMING_ON, WARMING = EFFECT_INDEX["friction_warm_up"], layout()["friction_warm_up"] + 1
+WARMING_BY = WARMING + 1
 STOP_ON, STOP = EFFECT_INDEX["hard_stop"], layout()["hard_stop"]
 CHANGE_ON, CHANGE_TIME = EFFECT_INDEX["parameter_change"], layout()["parameter_change"]
 CHANGE_WHICH, CHANGE_RATIO = CHANGE_TIME + 1, CHANGE_TIME + 2

@@ -46,7 +46,7 @@ def series_of(found: Diagnosis) -> list[SeriesPlot]:
 
 def curves_of(found: Diagnosis) -> list[CurvePlot]:
     """What the remaining missing torque follows, where it follows anything."""
-    if found.final.at_floor:
+    if found.final.follows:
         return []
     length = "deg" if found.train[0].rotary else "mm"
     term = found.outlook.empirical

@@ -124,13 +124,19 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     if verdict == "no_missing_effect":
         return f"Nothing is missing: {declared} explains the data down to their floor{_level(diagnosis)}."
     if verdict == "explained":
-        return f"Missing from {declared}: {listed(found)}. {change}"
+        return f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}"
     remains = f"what remains follows {rest}" if rest else "what remains follows nothing that was looked at"
     if found:
         return (
             f"Partly explained: adding {listed(found)} helped, but structure remains. {change} Unexplained: {remains}."
         )
     return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
+
+
+def _clock(diagnosis: Mapping[str, Any]) -> str:
+    """What times mean where the logs did not say when they were begun; empty otherwise."""
+    taken = diagnosis.get("clock") == "logs one after the other"
+    return ", its time being that of the logs one after the other, in the order given" if taken else ""
 
 
 def with_rivals(step: Mapping[str, Any]) -> str:

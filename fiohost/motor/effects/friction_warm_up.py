@@ -11,7 +11,8 @@ EFFECTS = (
     Effect(
         name="friction_warm_up",
         summary="friction falls as it runs",
-        equation="friction = level * (1 - ratio * w); dw/dt = (running - w) / time_constant",
+        equation="friction = level * (1 - ratio * w); dw/dt = (warming - w) / time_constant; warming is 1 while it "
+        "turns and 0 at rest (follows running), or 1 throughout (follows time)",
         acts_on="friction",
         stage=30,
         substep_s=0.005,
@@ -21,8 +22,11 @@ EFFECTS = (
         parameters=(
             Parameter("ratio", "", 0.3, 0.0, 0.95, step=1e-3),
             Parameter("time_constant_s", "s", 10.0, 0.5, 1000.0, neutral=None, step=1e-3, relative_step=True),
+            Parameter("follows", "", "running", neutral=None, choices=("running", "time")),
         ),
-        trials=tuple({"ratio": 0.3, "time_constant_s": t} for t in (3.0, 10.0, 40.0)),
+        trials=tuple(
+            {"ratio": 0.3, "time_constant_s": t, "follows": f} for f in ("running", "time") for t in (3.0, 10.0, 40.0)
+        ),
         source="Bona and Indri, Friction compensation in robotics: an overview, CDC 2005",
         friction=friction,
     ),

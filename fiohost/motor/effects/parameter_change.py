@@ -35,6 +35,7 @@ EFFECTS = (
         ),
         trials_for=trials_for,
         once=True,
+        clocked=True,
         current=current,
         source="A load picked up or dropped; change detection, Basseville and Nikiforov 1993",
     ),

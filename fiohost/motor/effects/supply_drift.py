@@ -14,6 +14,7 @@ EFFECTS = (
         equation="duty_eff = duty * (1 + pct_per_100_s / 100 * t / 100 s)",
         acts_on="current",
         stage=5,
+        clocked=True,
         substep_s=0.005,
         signature="the same trend of gain in both directions and at rest",
         parameters=(Parameter("pct_per_100_s", "%", 2.0, -90.0, 90.0),),
