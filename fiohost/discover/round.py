@@ -26,6 +26,8 @@ from fiohost.motor.effect import effect
 # that remain so much worse are not cross-validated.
 WORTH_REFITTING = 0.1
 LEAST_REFITTED, REFITTED = 4, 10
+# Beside what is named already, fewer in windows, where each is dear.
+REFITTED_BESIDE = 6
 FAR, HOPELESS = 12.0, 4.0
 # So many begin anew where nothing comes close to the floor, all where nothing comes anywhere near it.
 REFITTED_ANEW = 16
@@ -98,7 +100,7 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     if not scores:
         return Outcome([])
     chance = _chance(context, screen, scores)
-    scores, refits = _refits(context, stage, scores)
+    scores, refits = _refits(context, stage, scores, first)
     if not refits:
         far = "whole runs stay too far from the floor with every effect"
         return Outcome([Candidate(s.effect.name, s.share, far) for s in scores])
@@ -142,13 +144,14 @@ def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
     return chance_share(screen, scores, draw if sensors else None, context.rng)
 
 
-def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> tuple[list[Score], list[Fit]]:
+def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool) -> tuple[list[Score], list[Fit]]:
     """The scores with those first that were refitted, and their fits; those far from the best remain rough.
 
     The best are, and those of whose score little can be read: what happened once, between the moments that are tried,
     and what hangs on how warm each log began. None is where all stay far from whole runs, unless they may begin anew.
     """
-    worth = [s for s in scores[:REFITTED] if s.share > WORTH_REFITTING * scores[0].share]
+    most = REFITTED_BESIDE if context.windows and not first else REFITTED
+    worth = [s for s in scores[:most] if s.share > WORTH_REFITTING * scores[0].share]
     worth = list(scores[: max(len(worth), LEAST_REFITTED)])
     context.say(f"refitting the best {len(worth)}")
     worth += [s for s in scores if (s.effect.once or (context.windows and s.effect.warms)) and s not in worth]
@@ -160,7 +163,8 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score]) -> tuple[li
         return min(fitted, fit_event(stage.fit, score.effect, context.records), key=lambda f: f.cost)
 
     fits = each(rough, worth)
-    if context.anew and min(f.rms for f in fits) > LOST * stage.floor_rms:
+    far = LOST if first else UTTERLY_LOST  # beside what is named already, only where all else leads nowhere
+    if context.anew and min(f.rms for f in fits) > far * stage.floor_rms:
         context.say("still far from the floor: beginning anew with each of them")
         lost = min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms
         more = scores if lost else scores[:REFITTED_ANEW]

@@ -25,6 +25,8 @@ RESOLUTION_S = 0.02
 BEST_TRIALS = 4
 # A shaft that stands for so long though driven on by more than friction may stand at an end of travel.
 DRIVEN_ON_PCT, HELD_S = 10.0, 0.15
+# So does one that comes with so many counts in two samples, and stands at once for so many samples.
+ABRUPT_COUNTS, STANDS = 4.0, 5
 
 Trial = dict[str, Value]
 
@@ -78,13 +80,18 @@ def span_of(records: Sequence[Record]) -> Span:
 
 
 def _ends(record: Record) -> list[float]:
-    """Where a record's shaft stood at its extreme angle though driven on, a count's middle."""
+    """Where a record's shaft stood at its extreme angle though driven on, or came to stand there at once from speed; a
+    count's middle.
+    """
     found = []
     duty = record.excitation.duties_pct[1:]
     for side in (1.0, -1.0):
         outward = side * record.y
-        held = (outward >= outward.max() - 1.01 * record.quantum) & (side * duty > DRIVEN_ON_PCT)
-        if np.count_nonzero(held) * record.sample_time_s >= HELD_S:
+        there = outward >= outward.max() - 1.01 * record.quantum
+        held = np.count_nonzero(there & (side * duty > DRIVEN_ON_PCT)) * record.sample_time_s >= HELD_S
+        first = int(np.argmax(there))
+        came = outward[first - 1] - outward[first - 3] >= ABRUPT_COUNTS * record.quantum if first >= 3 else False
+        if held or (came and there[first : first + STANDS].all()):
             found.append(side * float(outward.max()) + 0.5 * record.quantum)
     return found
 

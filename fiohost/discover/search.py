@@ -124,7 +124,7 @@ def _reproach(before: Stage, after: Stage) -> str | None:
     """
     if any(new > (1.0 + SHOWS) * old for new, old in zip(after.powers, before.powers, strict=False)):
         return "makes whole runs or one-second windows worse"
-    if after.at_floor:
+    if after.follows:
         return None
     was, left = before.powers_above_floor, after.powers_above_floor
     if before.windows_above_floor > SHOWS:
@@ -148,11 +148,6 @@ def _explained_share(before: Stage, after: Stage) -> float:
     return max((1.0 - left / was for was, left in pairs if was > 0.0), default=0.0)
 
 
-def _finished(stage: Stage, steps: Sequence[Step]) -> bool:
-    """Whether to look no further: at the floor or, where nothing is named yet, as close to it as matters."""
-    return len(steps) >= MOST_EFFECTS or (stage.at_floor if steps else stage.follows)
-
-
 def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
     """Where every search begins: the declared model fitted to whole runs and judged."""
     return Found((search.stage(fit_from_scratch(model, search.records, keep_start=from_file)),), (), ())
@@ -171,7 +166,7 @@ def select(search: Search, begun: Found) -> Found:
         stage = judged(near, search.records, search.train, rng)
     steps: list[Step] = list(begun.steps)
     offered: list[Candidate] = list(begun.offered)
-    while not _finished(stage, steps) and stage.fit.windows == windows:
+    while not stage.follows and stage.fit.windows == windows and len(steps) < MOST_EFFECTS:
         outcome = run_round(search.context, stage, first=not steps)
         offered, winner = outcome.candidates, outcome.winner
         if winner is None or winner.validated is None:
@@ -209,7 +204,7 @@ def select(search: Search, begun: Found) -> Found:
         steps.append(Step(name, stage, evidence, named, rivals, outcome.able_beside_winner, outcome.base_cost))
         if stage.lost and not search.context.windows and not search.context.anew:
             break  # beside a model that whole runs cannot follow, nothing can be told by them
-    if steps and not stage.at_floor and _explained_share(declared, stage) < LEAST_OF_ALL:
+    if steps and not stage.follows and _explained_share(declared, stage) < LEAST_OF_ALL:
         say("what was added explains less than half: taken back")
         why = "was added, but all that was explains less than half of what stands above the floor"
         return Found((declared,), (), tuple(_taken_back(steps, offered, why)))
