@@ -104,7 +104,11 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     if not refits:
         far = "whole runs stay too far from the floor with every effect"
         return Outcome([Candidate(s.effect.name, s.share, far) for s in scores])
-    believed = [f.cost for s, f in zip(scores, refits, strict=False) if objection(f, s.effect.name) is None]
+    believed = [
+        f.cost
+        for s, f in zip(scores, refits, strict=False)
+        if objection(f, s.effect.name) is None and _can_be_confirmed(s, f, stage)
+    ]
     least = min(believed, default=np.inf)
     found: list[Candidate] = []
     for score, fitted in zip(scores, refits, strict=False):
@@ -173,11 +177,17 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
         fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
     if not context.windows and not context.anew and min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms:
         return list(scores), []
-    near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(g.cost for g in fits)]
+    sure = [f.cost for s, f in zip(worth, fits, strict=True) if _can_be_confirmed(s, f, stage)]
+    near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(sure, default=np.inf)]
     full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records), near)
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
     return [*worth, *(s for s in scores if s not in worth)], fits
+
+
+def _can_be_confirmed(score: Score, fitted: Fit, stage: Stage) -> bool:
+    """Whether a fit is anything to be measured against: an event that leaves something may be blamed for anything."""
+    return not score.effect.once or fitted.rms <= FINISHED * stage.floor_rms
 
 
 def _objection(
@@ -185,7 +195,7 @@ def _objection(
 ) -> str | None:
     """Why a refitted candidate is not even cross-validated, or None."""
     left = fitted.rms / stage.floor_rms
-    if score.effect.once and left > FINISHED:
+    if not _can_be_confirmed(score, fitted, stage):
         return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
     above = 1.0 - (left**2 - 1.0) / max((stage.fit.rms / stage.floor_rms) ** 2 - 1.0, 1e-12)
     if not first and above < LEAST_OF_REST:

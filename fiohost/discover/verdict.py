@@ -42,9 +42,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Excess:
-    """How far one figure of one record stands above its replicas: ``limit`` is theirs, ``allowed`` what is no matter
-    yet.
-    """
+    """One figure of one record: ``limit`` is how high its replicas stand, above ``allowed`` something is missed."""
 
     record: str
     figure: str
