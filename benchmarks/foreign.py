@@ -110,7 +110,7 @@ def table(rows: Sequence[Row]) -> str:
 
 def counted(rows: Sequence[Row]) -> str:
     """The counts in a sentence each."""
-    told = []
+    told = [f"{len({r['kind'] for r in rows})} of {len(KINDS)} equations so far."]
     for exact, words in ((True, "Equations that the library has"), (False, "Equations that it has not (*)")):
         own = [r for r in rows if DRAWS[r["kind"]].exact is exact and DRAWS[r["kind"]].right]
         good = sum(judged(r) in ("right", "right, and more", "in the set") for r in own)
