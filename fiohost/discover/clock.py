@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.round import Progress
 from fiohost.discover.search import Search, declared_alone, select
 from fiohost.discover.step import Found
 from fiohost.estimation.record import Record
@@ -28,21 +27,15 @@ def in_sequence(records: Sequence[Record]) -> list[Record]:
     ]
 
 
-def by_one_clock(
-    train: Sequence[Record],
-    model: Model,
-    library: Sequence[str] | None,
-    from_file: bool,
-    rng: np.random.Generator,
-    say: Progress,
-) -> Found | None:
-    """What a search over records in sequence finds of the effects that hang on the bench's own time; None if nothing
-    that explains them all.
+def by_one_clock(whole: Search, model: Model, from_file: bool) -> Found | None:
+    """What a search over another's records in sequence finds of the effects that hang on the bench's own time; None if
+    nothing that explains them all.
     """
+    library, rng, say = whole.context.library, whole.context.rng, whole.context.say
     names = [n for n in (effects() if library is None else library) if effects()[n].clocked]
-    if not clockless(train) or not names:
+    if not clockless(whole.train) or not names:
         return None
     say("the logs do not say when they were begun: as if taken one after the other")
-    search = Search(in_sequence(train), rng, names, say)
+    search = Search(in_sequence(whole.train), rng, names, say)
     found = select(search, declared_alone(search, model, from_file))
     return replace(found, one_clock=True) if found.steps and found.final.follows else None

@@ -158,7 +158,7 @@ def _searched(
     whole = Search(train, rng, library, say)
     alone = declared_alone(whole, model, from_file)
     found = select(whole, alone)
-    if not found.final.follows and (timed := by_one_clock(train, model, library, from_file, rng, say)):
+    if not found.final.follows and (timed := by_one_clock(whole, model, from_file)):
         return timed
     left = found.final.windows_above_floor
     if not found.final.follows and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS)):
