@@ -96,10 +96,10 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     },
     "backlash": _backlash,
     "shaft_compliance": _compliance,
-    "input_deadband": lambda r, m: {"level_pct": spread(r, 0.3, 12.0)},
+    "input_deadband": lambda r, m: {"level_pct": spread(r, 0.01, 12.0)},
     "asymmetric_deadband": lambda r, m: _edges(r),
-    "bridge_voltage_drop": lambda r, m: {"drop_V": spread(r, 0.005, 0.06) * SUPPLY_V},
-    "pwm_dead_time": lambda r, m: {"time_s": spread(r, 0.2e-6, 4e-6)},
+    "bridge_voltage_drop": lambda r, m: {"drop_V": spread(r, 0.0003, 0.06) * SUPPLY_V},
+    "pwm_dead_time": lambda r, m: {"time_s": spread(r, 0.01e-6, 4e-6)},
     "fast_decay": lambda r, m: {},
     "duty_curve": lambda r, m: {"exponent": 1.0 + sign(r) * spread(r, 0.0005, 0.3)},
     "pwm_resolution": lambda r, m: {"levels": float(r.choice((10, 16, 20, 32, 50, 64, 100)))},
@@ -131,7 +131,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
 
 def _asymmetric(rng: random.Random, m: Values) -> Values:
     mean = m["coulomb_Nm"]
-    part = sign(rng) * rng.uniform(0.08, 0.5)
+    part = sign(rng) * spread(rng, 0.003, 0.5)
     return {"forward_Nm": mean * (1.0 + part), "reverse_Nm": mean * (1.0 - part)}
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import measure, multisine, steps, suite, truth_model
+from bench_data import TRUTH, measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.choose import folds, slices
 from fiohost.discover.diagnose import diagnose_records
@@ -131,6 +131,16 @@ def test_a_piece_of_a_record_goes_on_where_the_one_before_ended() -> None:
     record = measure(truth, steps(10.0, rng), rng)
     for piece in slices(record, 4):
         assert judge(piece, truth).errors.window_rms < 0.17
+
+
+def test_a_record_is_cut_where_its_command_has_long_been_the_same() -> None:
+    truth, rng = truth_model(), np.random.default_rng(24)
+    record = measure(truth, np.repeat((12.0, -12.0, 25.0, -25.0), 1000), rng)
+    # Even edges would be the reversals themselves.
+    assert [len(piece) for piece in slices(record, 4)] == [750, 1000, 1000, 1250]
+    alone = diagnose_records([record], (), DECLARED, library=["armature_inductance", "supply_drift"])
+    assert alone.verdict == "no_missing_effect"
+    assert alone.final.fit.model.number("linear.tau_s") == pytest.approx(TRUTH["linear.tau_s"], rel=0.01)
 
 
 def test_records_of_different_things_are_not_mixed() -> None:

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import QUANTUM_DEG, measure, steps, suite, truth_model
+from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 
+from fiohost.discover.choose import folds
 from fiohost.discover.clock import in_sequence
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
+from fiohost.discover.refit import unstuck
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
@@ -63,6 +65,20 @@ def test_friction_that_falls_with_time_alone_is_told_from_one_that_falls_as_the_
     assert [s.effect for s in found.steps] == ["friction_warm_up"]
     assert found.final.fit.model.values["friction_warm_up.follows"] == follows
     assert found.verdict == "explained"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 7])
+def test_a_fit_to_a_shaft_that_mostly_rests_gets_off_its_ledge(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.arange(round(6.0 / TICK_S)) * TICK_S
+    growing = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # friction is 2.7 %
+    record = measure(truth_model(), np.concatenate([a * np.sin(np.pi * times) for a in growing]), rng)
+    pieces, _ = folds([record])
+    stuck = fit_from_scratch(Model.parse("linear+coulomb_friction"), pieces)
+    assert stuck.rms > 1.04 * COUNT_NOISE
+    found = unstuck(stuck, pieces, rng)
+    assert found.rms < 1.03 * COUNT_NOISE
+    assert found.model.number("coulomb_friction.level_pct") == pytest.approx(2.7, abs=0.05)
 
 
 @pytest.mark.parametrize("told", [True, False])

@@ -13,12 +13,14 @@ import numpy as np
 
 from fiohost.discover.floor import repeats
 from fiohost.estimation.fit import Fit, unchanged
-from fiohost.estimation.intervals import estimates
+from fiohost.estimation.intervals import Estimate, covariance, estimates
 from fiohost.estimation.record import Record, make_record
-from fiohost.motor.effect import Value
+from fiohost.motor.effect import Parameter, Value
 from fiohost.motor.model import Model
 
 CLOSE = 1.03
+# A rival has to gain this share of what the best does.
+SHARED_GAIN = 0.8
 STEP_SHARES = (1.0, 0.5, 0.25)
 KNOWN_ANYWAY = 0.02
 SIGMAS_FROM_NEUTRAL = 3.0
@@ -27,8 +29,8 @@ BLOCK_S = 2.0
 
 def slices(record: Record, pieces: int) -> list[Record]:
     """A record cut into consecutive pieces, each with an initial state of its own."""
-    edges = np.linspace(0, len(record), pieces + 1).astype(int)
     ex = record.excitation
+    edges = _quiet_edges(ex.duties_pct[1:], pieces)
     delay = float(ex.act_times_s[0] - ex.times_s[0])
     found = []
     for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
@@ -54,6 +56,25 @@ def slices(record: Record, pieces: int) -> list[Record]:
             piece = replace(piece, at_rest=False, excitation=replace(piece.excitation, duties_pct=duties, modes=modes))
         found.append(piece)
     return found
+
+
+def _quiet_edges(duties_pct: np.ndarray, pieces: int) -> list[int]:
+    """Where commands (n) are cut into about equal pieces: each edge as far from any change of the command as it can be.
+
+    Cut at a change, a lag could only be told from how a speed settles, no longer from the way that it costs.
+    """
+    n = len(duties_pct)
+    changes = np.concatenate(([0], np.flatnonzero(np.diff(duties_pct)) + 1, [n]))
+    edges = np.linspace(0, n, pieces + 1).astype(int)
+    reach = n // (4 * pieces)
+    found = [0]
+    for edge in edges[1:-1]:
+        near = np.arange(edge - reach, edge + reach + 1)
+        after = np.searchsorted(changes, near, side="right")
+        away = np.minimum(near - changes[after - 1], changes[after] - near)
+        best = near[away == away.max()]
+        found.append(int(best[np.argmin(np.abs(best - edge))]))
+    return [*found, n]
 
 
 def folds(records: Sequence[Record], most: int = 6) -> tuple[list[Record], list[list[int]]]:
@@ -142,22 +163,53 @@ def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequenc
 
 def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Why a fitted effect cannot be believed by its parameters alone, or None; replicas as for ``estimates``."""
+    known = _smooth(found, name, replicas)
+    bounds = (_at_a_bound(p, value) for p, value in known)
+    return next((why for why in bounds if why), None) or _vanishing(found, name, known)
+
+
+def only_at_a_bound(found: Fit, name: str) -> bool:
+    """Whether all that speaks against a fitted effect is a parameter at its bound, while the others are distinct.
+
+    So ends what data can only tell the sum of, as dry friction and a deadband that are never turned against.
+    """
+    known = _smooth(found, name)
+    free = [(p, value) for p, value in known if not _at_a_bound(p, value)]
+    return 0 < len(free) < len(known) and _vanishing(found, name, free) is None
+
+
+def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple[Parameter, Estimate]]:
     known = estimates(found, replicas)
-    for parameter in found.model.parts()[-1].parameters:
-        key = f"{name}.{parameter.name}"
-        if not parameter.is_smooth or key not in known:
-            continue
-        value = known[key]
-        if value.at_bound and (value.value != 0.0 or parameter.neutral is not None):
-            # Nothing in nature is below zero; any other bound is one of the search.
-            return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
-        if parameter.neutral is None or parameter.ragged:
-            continue  # a ragged parameter has no width by gradients: the fit and the left-out records judge it
-        if abs(value.value - parameter.neutral) < 1e-9:
-            return f"{parameter.name} went to {parameter.neutral:g}, where the effect vanishes"
-        if value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - parameter.neutral):
-            return f"{parameter.name} is not distinct from {parameter.neutral:g}, where the effect vanishes"
+    return [(p, known[f"{name}.{p.name}"]) for p in found.model.parts()[-1].parameters if p.is_smooth]
+
+
+def _at_a_bound(parameter: Parameter, value: Estimate) -> str | None:
+    if value.at_bound and (value.value != 0.0 or parameter.neutral is not None):
+        # Nothing in nature is below zero; any other bound is one of the search.
+        return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
     return None
+
+
+def _vanishing(found: Fit, name: str, known: Sequence[tuple[Parameter, Estimate]]) -> str | None:
+    """What says that the effect may as well not be there; one of several sizes is not distinct from none unless all
+    are, together (Wald's test): data may know their difference and nothing of their sum.
+    """
+    # A ragged parameter has no width by gradients: the fit and the left-out records judge it.
+    sizes = [(p, value, p.neutral) for p, value in known if p.neutral is not None and not p.ragged]
+    whys = []
+    for parameter, value, neutral in sizes:
+        if abs(value.value - neutral) < 1e-9:
+            whys.append(f"{parameter.name} went to {neutral:g}, where the effect vanishes")
+        elif value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - neutral):
+            whys.append(f"{parameter.name} is not distinct from {neutral:g}, where the effect vanishes")
+    if len(whys) == len(sizes) > 1:
+        cov, _ = covariance(found)
+        at = [found.names.index(f"{name}.{p.name}") for p, _, _ in sizes]
+        away = np.array([value.value - neutral for _, value, neutral in sizes])
+        block = cov[np.ix_(at, at)]
+        if np.isfinite(block).all() and away @ np.linalg.pinv(block, hermitian=True) @ away > SIGMAS_FROM_NEUTRAL**2:
+            return None
+    return whys[0] if whys and len(whys) == len(sizes) else None
 
 
 def indistinguishable(best: Validated, rival: Validated, base_cost: float) -> bool:
@@ -165,7 +217,7 @@ def indistinguishable(best: Validated, rival: Validated, base_cost: float) -> bo
     if rival.cost <= best.cost * CLOSE**2:
         return True
     gain, rival_gain = base_cost - best.cost, base_cost - rival.cost
-    if rival_gain < 0.8 * gain:
+    if rival_gain < SHARED_GAIN * gain:
         return False
     difference = rival.blocks - best.blocks
     error = float(difference.std(ddof=1)) * np.sqrt(len(difference))

@@ -157,16 +157,30 @@ def _searched(
     """
     whole = Search(train, rng, library, say)
     alone = declared_alone(whole, model, from_file)
+
+    def by_windows() -> Found:
+        seen = select(Search(train, rng, library, say, windows=True), alone)
+        return select(whole, seen) if seen.steps and not seen.final.fit.windows else seen
+
+    seen = None
+    if whole.context.few and not alone.final.follows:
+        say(f"few experiments: looking at windows of {WINDOW_S:g} s first")
+        seen = by_windows()
+        if seen.steps and seen.final.follows:
+            return seen
     found = select(whole, alone)
     if not found.final.follows and (timed := by_one_clock(whole, model, from_file)):
         return timed
     left = found.final.windows_above_floor
-    if not found.final.follows and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS)):
+    if (
+        not found.final.follows
+        and not whole.context.few
+        and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS))
+    ):
         say(f"whole runs stay unexplained: looking at windows of {WINDOW_S:g} s")
-        seen = select(Search(train, rng, library, say, windows=True), alone)
-        if seen.steps and not seen.final.fit.windows:
-            seen = select(whole, seen)
-            found = seen if _window_rms(seen) < BETTER * _window_rms(found) else found
+        seen = by_windows()
+    if not found.final.follows and seen and seen.steps and not seen.final.fit.windows:
+        found = seen if _window_rms(seen) < BETTER * _window_rms(found) else found
     if not found.final.follows and found.final.lost:
         say("still far from the floor: beginning anew with each effect")
         other = select(Search(train, rng, library, say, anew=True), alone)

@@ -34,6 +34,9 @@ ANOTHER_CHOICE, CHOICE_SIZES = 2.0, (1.0, -1.0, 0.5, -0.5, 2.0, -2.0)
 # Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
 FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
+# How far around each parameter a stuck fit is begun again, as factors on it, and how often at most.
+AROUND = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 1.005, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
+BEGUN_AGAIN = 3
 
 
 def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
@@ -244,3 +247,29 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
     best = [looked[i] for i in np.argsort(costs)[:NUDGES]]
     nudged = each(lambda m: again(found, m, records, 12, 1e-7), best)
     return min((found, *nudged), key=lambda f: f.cost)
+
+
+def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
+    """A fit begun again around each of its parameters in turn, farther than it believes them uncertain, and polished.
+
+    Beside ledges the covariance says nothing of how far off a parameter is: a few logs, mostly at rest, are followed
+    closely by friction and gain that are off by percents together.
+    """
+    for _ in range(BEGUN_AGAIN):
+        was = found.cost
+        for name in found.names:
+            found = _begun_around(found, name, records)
+        found = polish(found, records, rng)
+        if found.cost > STILL_BETTER * was:
+            break
+    return found
+
+
+def _begun_around(found: Fit, name: str, records: Sequence[Record]) -> Fit:
+    """The best of fits begun with one parameter moved."""
+    parameter, value = found.model.parameter(name), found.model.number(name)
+    points = [float(np.clip(k * value, parameter.lower, parameter.upper)) for k in AROUND]
+    models = [found.model.with_values({name: v}) for v in dict.fromkeys(points)]
+    rough = each(lambda m: again(found, m, records, 6, 1e-2), models)
+    best = min(rough, key=lambda f: f.cost)
+    return min(found, again(best, best.model, records, 25, 1e-7), key=lambda f: f.cost)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.choose import Validated, objection, validate
+from fiohost.discover.choose import CLOSE, Validated, objection, only_at_a_bound, validate
 from fiohost.discover.floor import replica_errors
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.refit import fit_anew, full_fit, polish, rough_fit
@@ -44,13 +44,15 @@ Progress = Callable[[str], None]
 @dataclass(frozen=True)
 class Context:
     """What stays the same in all rounds: the records to fit, the groups of them to leave out, the library; whether one-
-    second windows are fitted or whole runs, and whether these are begun anew where nothing else comes close.
+    second windows are fitted or whole runs, and whether these are begun anew where nothing else comes close; whether
+    there are few experiments, of which scores tell little.
     """
 
     records: Sequence[Record]
     groups: Sequence[Sequence[int]]
     windows: bool
     anew: bool
+    few: bool
     library: Sequence[str] | None
     rng: np.random.Generator
     say: Progress
@@ -61,12 +63,16 @@ class Context:
 
 @dataclass(frozen=True)
 class Candidate:
-    """How one effect did in one round: the share of the residual's power it removed, and why it was not taken."""
+    """How one effect did in one round: the share of the residual's power it removed, and why it was not taken.
+
+    ``as_rival`` is of one that could not be taken, for a parameter at its bound, though it does as well as the best.
+    """
 
     effect: str
     score: float
     rejected_because: str | None
     validated: Validated | None = None
+    as_rival: Validated | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,8 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     if not refits:
         far = "whole runs stay too far from the floor with every effect"
         return Outcome([Candidate(s.effect.name, s.share, far) for s in scores])
+    if context.few and context.windows:
+        refits = _from_the_best(context, scores, refits)
     believed = [
         f.cost
         for s, f in zip(scores, refits, strict=False)
@@ -117,10 +125,15 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
         found.append(Candidate(score.effect.name, share, why))
     passed = [i for i, c in enumerate(found) if c.rejected_because is None]
     context.say(f"cross-validating {len(passed)} of them")
+    alike = [
+        i
+        for i, c in enumerate(found)
+        if c.rejected_because and refits[i].cost <= CLOSE * least and only_at_a_bound(refits[i], c.effect)
+    ]
     base = context.validate(stage.fit)
-    left_out = dict(zip(passed, each(lambda i: context.validate(refits[i]), passed), strict=True))
-    for i, validated in left_out.items():
-        found[i] = checked(found[i], validated, base)
+    left_out = each(lambda i: context.validate(refits[i]), [*passed, *alike])
+    for i, validated in zip([*passed, *alike], left_out, strict=True):
+        found[i] = replace(found[i], as_rival=validated) if i in alike else checked(found[i], validated, base)
     found += [
         Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
         for s in scores[len(refits) :]
@@ -156,7 +169,7 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     """
     most = REFITTED_BESIDE if context.windows and not first else REFITTED
     worth = [s for s in scores[:most] if s.share > WORTH_REFITTING * scores[0].share]
-    worth = list(scores[: max(len(worth), LEAST_REFITTED)])
+    worth = list(scores[: max(len(worth), LEAST_REFITTED)] if not (context.few and context.windows) else scores)
     context.say(f"refitting the best {len(worth)}")
     worth += [s for s in scores if (s.effect.once or (context.windows and s.effect.warms)) and s not in worth]
 
@@ -183,6 +196,26 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
     return [*worth, *(s for s in scores if s not in worth)], fits
+
+
+def _from_the_best(context: Context, scores: Sequence[Score], refits: Sequence[Fit]) -> list[Fit]:
+    """The same fits, or better ones begun with the gain, lag and friction of the best of them: from the declared
+    model's own values, far off where few experiments are to be explained, some do not find theirs.
+    """
+    which = int(np.argmin([f.cost for f in refits]))
+    best = refits[which]
+    base = replace(best, model=best.model.without([scores[which].effect.name]))
+
+    def better(pair: tuple[Score, Fit]) -> Fit:
+        score, fitted = pair
+        if score.effect.once or fitted is best:
+            return fitted
+        found = rough_fit(base, score, context.records)
+        if found.cost < min(fitted.cost, FAR * best.cost):
+            found = full_fit(found, score.effect, context.records)
+        return min(fitted, found, key=lambda f: f.cost)
+
+    return each(better, list(zip(scores, refits, strict=False)))
 
 
 def _can_be_confirmed(score: Score, fitted: Fit, stage: Stage) -> bool:

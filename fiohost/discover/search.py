@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.choose import folds, indistinguishable, objection
+from fiohost.discover.choose import SHARED_GAIN, folds, indistinguishable, objection
 from fiohost.discover.evidence import dependences
 from fiohost.discover.exchange import commonest, exchanged, swapped
-from fiohost.discover.refit import again, searched_again
+from fiohost.discover.refit import again, searched_again, unstuck
 from fiohost.discover.round import (
     LEAST_CV_GAIN,
     LEAST_OF_REST,
@@ -34,6 +34,8 @@ MOST_EFFECTS = 4
 MOST_EVERY, LEAST_WINDOWS = 3, 40
 # Something is missing from one-second windows where their power stands by this share above the floor.
 SHOWS = 0.05
+# A fit may be stuck where they stand above the floor by no more than this.
+STUCK = 2.0
 # Where structure remains, names are given only if they explain this share of what the declared model leaves.
 LEAST_OF_ALL = 0.5
 
@@ -60,7 +62,7 @@ class Search:
         if windows:
             every = sum(len(r.windows) - 1 for r in records) // LEAST_WINDOWS
             records = [replace(r, every=max(1, min(every, MOST_EVERY))) for r in records]
-        self.context = Context(records, groups, windows, anew, library, rng, say)
+        self.context = Context(records, groups, windows, anew, len(records) > len(train), library, rng, say)
 
     @property
     def records(self) -> Sequence[Record]:
@@ -93,21 +95,26 @@ class Search:
         winner = outcome.winner
         if winner is None or winner.validated is None:
             return {}
-        return {
-            c.effect: c.validated.fit.model
+        best, gain = winner.validated, outcome.base_cost - winner.validated.cost
+        beside = {c.effect: c.validated for c in outcome.candidates if c.validated is not None}
+        beside |= {
+            c.effect: c.as_rival
             for c in outcome.candidates
-            if c.effect != winner.effect
-            and c.validated is not None
-            and indistinguishable(winner.validated, c.validated, outcome.base_cost)
+            if c.as_rival is not None and outcome.base_cost - c.as_rival.cost >= SHARED_GAIN * gain
+        }
+        return {
+            name: rival.fit.model
+            for name, rival in beside.items()
+            if name != winner.effect and indistinguishable(best, rival, outcome.base_cost)
         }
 
     def prune(self, fitted: Fit, declared: Model) -> Fit:
         """Delete every added effect that left-out records do not miss once the others are there, fitted again.
 
-        The newest too where it is not the only one: it may have helped the others out of where they were caught.
+        The newest too: it may only have helped the others out of where they were caught.
         """
         added = [e for e in fitted.model.effects if e not in declared.effects]
-        for name in added if len(added) > 1 else []:
+        for name in added:
             smaller = again(fitted, fitted.model.without([name]), self.records)
             whole, less = self.context.validate(fitted), self.context.validate(smaller)
             if less.cost <= whole.cost * (1.0 + 0.5 * LEAST_CV_GAIN):
@@ -149,8 +156,15 @@ def _explained_share(before: Stage, after: Stage) -> float:
 
 
 def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
-    """Where every search begins: the declared model fitted to whole runs and judged."""
-    return Found((search.stage(fit_from_scratch(model, search.records, keep_start=from_file)),), (), ())
+    """Where every search begins: the declared model fitted to whole runs and judged.
+
+    What windows nearly follow and whole runs do not may be no more than a fit beside its minimum.
+    """
+    stage = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
+    if not stage.follows and stage.windows_above_floor < STUCK:
+        better = unstuck(stage.fit, search.records, search.context.rng)
+        stage = search.stage(better) if better.cost < stage.fit.cost else stage
+    return Found((stage,), (), ())
 
 
 def select(search: Search, begun: Found) -> Found:
@@ -174,10 +188,14 @@ def select(search: Search, begun: Found) -> Found:
         say(f"adding {winner.effect}")
         pruned = search.prune(winner.validated.fit, model)
         if winner.effect not in pruned.model.effects:
-            settled = search.settled(pruned)
+            settled, was = search.settled(pruned), stage
             stage = settled if _closer(settled, stage) else stage
             steps = [s for s in steps if s.effect in stage.fit.model.effects]
-            steps = [*steps[:-1], replace(steps[-1], stage=stage)]
+            if steps:
+                steps = [*steps[:-1], replace(steps[-1], stage=stage)]
+            elif stage is not was:
+                declared = stage
+                continue
             unneeded = "is not missed by left-out records once the rest is fitted again"
             offered = [replace(c, rejected_because=unneeded) if c.effect == winner.effect else c for c in offered]
             break
