@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from discovery_cases import EFFECTS
 from discovery_rates import BOUNDS, page, summary, table
 from discovery_run import Row, Task, run_task, same
+from rows import read
 
 # Cases of the smoke run: fixed by their seed, drawn once and not picked.
 SMOKE, SMOKE_SEED = {"clear": 1, "faint": 0, "none": 20, "pair": 5, "outside": 4}, 20240601
@@ -45,10 +46,6 @@ def plan(counts: dict[str, int], rng: random.Random) -> list[Task]:
             tasks.append(Task("pair", (first, second), draw()))
     rng.shuffle(tasks)
     return tasks
-
-
-def done(path: Path) -> list[Row]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iterator[Row]:
@@ -102,7 +99,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path)
     options = parser.parse_args()
     if options.table:
-        rows = done(options.table)
+        rows = read(options.table)
         if options.page:
             options.page.write_text(page(rows), encoding="utf-8")
         print(table(rows))
@@ -111,7 +108,7 @@ def main() -> None:
         smoke(options.jobs)
         return
     counts = {kind: getattr(options, kind) for kind in ("clear", "faint", "none", "pair", "outside")}
-    earlier = done(options.out)
+    earlier = read(options.out)
     seed = options.seed
     if seed is None:
         seed = next((r["plan"] for r in earlier if "plan" in r), secrets.randbelow(2**31))
@@ -124,7 +121,7 @@ def main() -> None:
         for row in run(tasks, options.jobs, options.minutes):
             file.write(json.dumps(row, default=str) + "\n")
             file.flush()
-    print(table(done(options.out)))
+    print(table(read(options.out)))
 
 
 if __name__ == "__main__":

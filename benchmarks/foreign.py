@@ -10,24 +10,21 @@ The logs say only what a stranger's would: times, duties, counts of one turn. So
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import secrets
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from foreign_simulator import DRAWS, KINDS, TICK_S, parameters, simulate
+from rows import Row, in_parallel, read
 
 SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
 DECLARED = "linear+coulomb_friction"
 TEMPLATE = Path(__file__).with_name("foreign.template.md")
-
-Row = dict[str, Any]
 
 
 def logs(kind: str, seed: int, folder: Path) -> tuple[dict[str, Any], list[Path], list[Path]]:
@@ -60,10 +57,11 @@ def logs(kind: str, seed: int, folder: Path) -> tuple[dict[str, Any], list[Path]
     return truth, paths[:-1], paths[-1:]
 
 
-def run(kind: str, seed: int) -> Row:
+def run(task: tuple[str, int]) -> Row:
     from fiohost.circle.evidence import diagnose
     from fiohost.discover.metrics import pool
 
+    kind, seed = task
     with tempfile.TemporaryDirectory() as folder:
         truth, train, held = logs(kind, seed, Path(folder))
         cpu = time.process_time()
@@ -124,14 +122,6 @@ def counted(rows: Sequence[Row]) -> str:
     return " ".join(told)
 
 
-def rows_of(tasks: Sequence[tuple[str, int]], jobs: int) -> Iterator[Row]:
-    with ProcessPoolExecutor(jobs) as pool:
-        for finished in as_completed([pool.submit(run, *task) for task in tasks]):
-            row = finished.result()
-            print(table([row]).splitlines()[-1], flush=True)
-            yield row
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", default=",".join(KINDS), help="a comma between each")
@@ -144,18 +134,12 @@ def main() -> None:
     unknown = sorted(set(options.kinds.split(",")) - set(KINDS) - {""})
     if unknown:
         sys.exit(f"no such kind: {', '.join(unknown)}; there are {', '.join(KINDS)}")
-    rows = (
-        [json.loads(line) for line in options.out.read_text().splitlines()]
-        if options.out and options.out.exists()
-        else []
-    )
+    rows = read(options.out)
     rng = random.Random(options.seed)
     tasks = [(k, rng.randrange(2**31)) for k in options.kinds.split(",") if k for _ in range(options.cases)]
-    for row in rows_of(tasks, options.jobs):
+    for row in in_parallel(run, tasks, options.jobs, options.out):
         rows.append(row)
-        if options.out:
-            with options.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+        print(table([row]).splitlines()[-1], flush=True)
     text = f"{counted(rows)}\n\n{table(rows)}"
     print(f"\n{text}")
     if options.page:
