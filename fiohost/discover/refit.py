@@ -81,13 +81,13 @@ def _cost(found: Fit, model: Model, records: Sequence[Record]) -> float:
     return unchanged(model, records, starts=found.starts, windows=found.windows).cost
 
 
-def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
+def rough_fit(base: Fit, score: Score, records: Sequence[Record], window_starts: int = WINDOW_STARTS) -> Fit:
     """The base model with one effect added: the best of a few steps from each of its best trials."""
     trials = [*score.trials[:STARTS]]
     looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
     trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
     if base.windows:  # nearly convex, and dearer: fewer starts will do
-        trials = sorted(trials, key=lambda t: _plain_cost(base, score.effect, t, records))[:WINDOW_STARTS]
+        trials = sorted(trials, key=lambda t: _plain_cost(base, score.effect, t, records))[:window_starts]
     starts = [base.model.with_effect(score.effect.name, trial) for trial in trials]
     rough = [again(base, m, records, 5, 1e-2) for m in starts]
     return min(rough, key=lambda f: f.cost)

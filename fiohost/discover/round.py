@@ -208,9 +208,9 @@ def _from_the_best(context: Context, scores: Sequence[Score], refits: Sequence[F
 
     def better(pair: tuple[Score, Fit]) -> Fit:
         score, fitted = pair
-        if score.effect.once or fitted is best:
+        if score.effect.once or score.effect.warms or fitted is best:
             return fitted
-        found = rough_fit(base, score, context.records)
+        found = rough_fit(base, score, context.records, window_starts=1)
         if found.cost < min(fitted.cost, FAR * best.cost):
             found = full_fit(found, score.effect, context.records)
         return min(fitted, found, key=lambda f: f.cost)
