@@ -20,7 +20,7 @@ from fiohost.discover.outlook import Outlook
 from fiohost.discover.preliminary import Preliminary, examine
 from fiohost.discover.round import Candidate, Progress
 from fiohost.discover.said import Said
-from fiohost.discover.search import SHOWS, Search, declared_alone, only_commonest, select
+from fiohost.discover.search import SHOWS, Search, declared_alone, eased, only_commonest, select
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found, Step
 from fiohost.discover.workers import each
@@ -160,13 +160,15 @@ def _searched(
 
     def by_windows() -> Found:
         seen = select(Search(train, rng, library, say, windows=True), alone)
-        return select(whole, seen) if seen.steps and not seen.final.fit.windows else seen
+        if not seen.steps or seen.final.fit.windows:
+            return seen
+        return select(whole, eased(whole, seen) if whole.context.few else seen)
 
     seen = None
     if whole.context.few and not alone.final.follows:
         say(f"few experiments: looking at windows of {WINDOW_S:g} s first")
         seen = by_windows()
-        if seen.steps and seen.final.follows:
+        if seen.steps and (seen.final.follows or seen.final.windows_above_floor < SHOWS):
             return seen
     found = select(whole, alone)
     if not found.final.follows and (timed := by_one_clock(whole, model, from_file)):

@@ -110,7 +110,7 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     if not refits:
         far = "whole runs stay too far from the floor with every effect"
         return Outcome([Candidate(s.effect.name, s.share, far) for s in scores])
-    if context.few and context.windows:
+    if context.few and context.windows and first:
         refits = _from_the_best(context, scores, refits)
     believed = [
         f.cost
@@ -168,8 +168,9 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     and what hangs on how warm each log began. None is where all stay far from whole runs, unless they may begin anew.
     """
     most = REFITTED_BESIDE if context.windows and not first else REFITTED
+    everyone = context.few and context.windows and first
     worth = [s for s in scores[:most] if s.share > WORTH_REFITTING * scores[0].share]
-    worth = list(scores[: max(len(worth), LEAST_REFITTED)] if not (context.few and context.windows) else scores)
+    worth = list(scores[: max(len(worth), LEAST_REFITTED)] if not everyone else scores)
     context.say(f"refitting the best {len(worth)}")
     worth += [s for s in scores if (s.effect.once or (context.windows and s.effect.warms)) and s not in worth]
 
@@ -191,7 +192,8 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     if not context.windows and not context.anew and min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms:
         return list(scores), []
     sure = [f.cost for s, f in zip(worth, fits, strict=True) if _can_be_confirmed(s, f, stage)]
-    near = [i for i, f in enumerate(fits) if f.cost <= FAR * min(sure, default=np.inf)]
+    far = HOPELESS if everyone else FAR
+    near = [i for i, f in enumerate(fits) if f.cost <= far * min(sure, default=np.inf)]
     full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records), near)
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
@@ -211,7 +213,7 @@ def _from_the_best(context: Context, scores: Sequence[Score], refits: Sequence[F
         if score.effect.once or score.effect.warms or fitted is best:
             return fitted
         found = rough_fit(base, score, context.records, window_starts=1)
-        if found.cost < min(fitted.cost, FAR * best.cost):
+        if found.cost < min(fitted.cost, HOPELESS * best.cost):
             found = full_fit(found, score.effect, context.records)
         return min(fitted, found, key=lambda f: f.cost)
 

@@ -156,15 +156,25 @@ def _explained_share(before: Stage, after: Stage) -> float:
 
 
 def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
-    """Where every search begins: the declared model fitted to whole runs and judged.
+    """Where every search begins: the declared model fitted to whole runs and judged."""
+    stage = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
+    return eased(search, Found((stage,), (), ()))
+
+
+def eased(search: Search, found: Found) -> Found:
+    """What a search came to, its last fit got off its ledge if it may stand on one.
 
     What windows nearly follow and whole runs do not may be no more than a fit beside its minimum.
     """
-    stage = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
-    if not stage.follows and stage.windows_above_floor < STUCK:
-        better = unstuck(stage.fit, search.records, search.context.rng)
-        stage = search.stage(better) if better.cost < stage.fit.cost else stage
-    return Found((stage,), (), ())
+    stage = found.final
+    if stage.follows or stage.fit.windows or stage.windows_above_floor > STUCK:
+        return found
+    better = unstuck(stage.fit, search.records, search.context.rng)
+    if better.cost >= stage.fit.cost or (found.steps and objection(better, better.model.effects[-1])):
+        return found
+    stage = search.stage(better)
+    steps = tuple(replace(s, stage=stage) if s is found.steps[-1] else s for s in found.steps)
+    return replace(found, stages=(*found.stages[:-1], stage), steps=steps)
 
 
 def select(search: Search, begun: Found) -> Found:
