@@ -206,6 +206,16 @@ def test_what_never_comes_into_play_has_its_limit_where_it_would() -> None:
     assert "cases" in str(of(limits, "fast_decay").reason)
 
 
+def test_what_one_way_logs_hide_at_any_size_has_no_limit() -> None:
+    """Sizes grow to their bounds, and not by a rounding beyond."""
+    forward = np.repeat((20.0, 40.0, 30.0), 600)
+    records = [measure(truth_model(), forward, np.random.default_rng(1))]
+    found = diagnose_records(records, (), DECLARED, library=["constant_load"])
+    limits = detection_limits(found.final, records, ["direction_dependent_gain", "duty_curve"])
+    assert of(limits, "direction_dependent_gain").value is None
+    assert of(limits, "duty_curve").value is not None
+
+
 # ---- what nothing explains -----------------------------------------------------------------------------------------
 
 

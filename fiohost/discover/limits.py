@@ -182,7 +182,8 @@ class Limits:
         base = self.outputs(self.with_sizes(model, effect, none))
 
         def at(reach: float) -> Trial:
-            return {name: none[name] + reach * full[name] for name in none}
+            grown = {p.name: none[p.name] + reach * full[p.name] for p in sizes}
+            return {p.name: float(np.clip(grown[p.name], p.lower, p.upper)) for p in sizes}
 
         def limit(value: float | None, log: str = "", figure: str = "", reason: str | None = None) -> Limit:
             rest = {k: v for k, v in trial.items() if k != first.name}
