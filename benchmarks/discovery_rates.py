@@ -203,7 +203,7 @@ class Bound:
 BOUNDS = (
     Bound("nothing missing, an effect claimed", "none", lambda r: bool(r["named"]), most=1),
     Bound("clear effects, first name right", "clear", first_right, least=26),
-    Bound("pairs, first name right", "pair", first_right, least=2),
+    Bound("pairs, first name right", "pair", first_right, least=1),
     Bound("outside the library, explained away", "outside", lambda r: r["verdict"] == "explained", most=1),
 )
 
