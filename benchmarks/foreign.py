@@ -9,9 +9,7 @@ The logs say only what a stranger's would: times, duties, counts of one turn. So
 
 from __future__ import annotations
 
-import argparse
 import random
-import secrets
 import sys
 import tempfile
 import time
@@ -20,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from foreign_simulator import DRAWS, KINDS, TICK_S, parameters, simulate
-from rows import Row, in_parallel, read
+from rows import Row, arguments, in_parallel, read
 
 SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
 DECLARED = "linear+coulomb_friction"
@@ -123,18 +121,13 @@ def counted(rows: Sequence[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(str(__doc__), 1, "of each kind")
     parser.add_argument("--kinds", default=",".join(KINDS), help="a comma between each")
-    parser.add_argument("--cases", type=int, default=1, help="of each kind")
-    parser.add_argument("--seed", type=int, default=secrets.randbelow(2**31))
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, help="rows of JSON; those that are there are kept")
-    parser.add_argument("--page", type=Path)
     options = parser.parse_args()
     unknown = sorted(set(options.kinds.split(",")) - set(KINDS) - {""})
     if unknown:
         sys.exit(f"no such kind: {', '.join(unknown)}; there are {', '.join(KINDS)}")
-    rows = read(options.out)
+    rows = read(options.out, "kind", "seed", "verdict", "named", "before", "after", "cpu_s")
     rng = random.Random(options.seed)
     tasks = [(k, rng.randrange(2**31)) for k in options.kinds.split(",") if k for _ in range(options.cases)]
     for row in in_parallel(run, tasks, options.jobs, options.out):

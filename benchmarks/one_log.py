@@ -8,9 +8,7 @@ effect or none. Seeds are fresh from the system unless ``--seed`` is given; rows
 
 from __future__ import annotations
 
-import argparse
 import random
-import secrets
 import sys
 import time
 from collections.abc import Sequence
@@ -21,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from discovery_cases import EFFECTS, make_case
 from discovery_rates import classes, wilson
 from discovery_run import CLEAR, DECLARED, clarity, same
-from rows import Row, in_parallel, read
+from rows import Row, arguments, in_parallel, read
 
 SQUARE = "square_170_190"
 OTHERS = ("multisine", "multisine_fast", "pulses", "ramp_full", "random_steps", "reversals", "sine_slow", "sines_small",
@@ -76,6 +74,7 @@ def in_set(row: Row) -> bool:
 
 
 def table(rows: Sequence[Row]) -> str:
+    missing = [[r for r in rows if not r["drawn"] and (r["experiment"] == SQUARE) is own] for own in (True, False)]
     rows = [r for r in rows if r["drawn"]]
     lines = ["| | square wave in closed loop | another experiment |", "|---|---|---|"]
     closed, opened = ([r for r in rows if (r["experiment"] == SQUARE) is own] for own in (True, False))
@@ -93,6 +92,7 @@ def table(rows: Sequence[Row]) -> str:
     sizes = [[classes(r["named"][0]) for r in p if r["named"]] for p in some]
     line("mean size of the first set", [f"{sum(s) / len(s):.1f}" if s else "none" for s in sizes])
     line("nothing missing: any effect claimed", [wilson(sum(bool(r["named"]) for r in p), len(p)) for p in none])
+    line("effects that were never clear, left out", [str(len(m)) for m in missing])
     line("CPU seconds, median", [f"{sorted(r['cpu_s'] for r in p)[len(p) // 2]:.0f}" if p else "none" for p in some])
     return "\n".join(lines)
 
@@ -123,14 +123,9 @@ def plan(cases: int, rng: random.Random) -> list[Task]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=10, help="with an effect, of each of the two kinds; 0 only reads")
-    parser.add_argument("--seed", type=int, default=secrets.randbelow(2**31))
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, help="rows of JSON; those that are there are kept")
-    parser.add_argument("--page", type=Path)
+    parser = arguments(str(__doc__), 10, "with an effect, of each of the two kinds; 0 only reads")
     options = parser.parse_args()
-    rows = read(options.out)
+    rows = read(options.out, "experiment", "truth", "seed", "drawn")
     for row in in_parallel(run, plan(options.cases, random.Random(options.seed)), options.jobs, options.out):
         rows.append(row)
         print(row["experiment"], *row["truth"], row.get("verdict", "not drawn"), row.get("named", ""), flush=True)

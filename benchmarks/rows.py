@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import secrets
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -13,18 +15,33 @@ Row = dict[str, Any]
 Task = TypeVar("Task")
 
 
-def read(path: Path | None) -> list[Row]:
-    """The rows of a file, none where there is no file; leaves with a sentence where a line is no row."""
+def arguments(told: str, cases: int, of: str) -> argparse.ArgumentParser:
+    """What such benchmarks are asked for; ``cases`` is how many ``of`` each there are unless said otherwise."""
+    parser = argparse.ArgumentParser(description=told, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=cases, help=of)
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(2**31))
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="rows of JSON; those that are there are kept")
+    parser.add_argument("--page", type=Path)
+    return parser
+
+
+def read(path: Path | None, *keys: str) -> list[Row]:
+    """The rows of a file, none where there is no file; leaves with a sentence where a line is no row with ``keys``."""
     if path is None or not path.exists():
         return []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as exc:
+        sys.exit(f"{path} cannot be read: {exc}")
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(lines, 1):
         try:
             row = json.loads(line)
         except ValueError:
             row = None
-        if not isinstance(row, dict):
-            sys.exit(f"{path}: line {number} is no row of JSON; mend or delete it")
+        if not isinstance(row, dict) or not set(keys) <= set(row):
+            sys.exit(f"{path}: line {number} is no row of this benchmark; mend or delete it")
         rows.append(row)
     return rows
 
