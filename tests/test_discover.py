@@ -16,6 +16,7 @@ from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.record import make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
 
@@ -124,6 +125,18 @@ def test_folds_leave_out_whole_experiments_and_keep_repeats_together() -> None:
     pieces, groups = folds(records[:1])
     assert len(pieces) == len(groups) == 2
     assert sum(len(p) for p in pieces) == len(records[0])
+
+
+def test_a_log_too_short_to_be_cut_is_refused_in_a_sentence() -> None:
+    rng = np.random.default_rng(5)
+    enough = measure(truth_model(), steps(0.3, rng), rng, name="short")
+    pieces, _ = folds([enough])
+    assert [len(piece) for piece in pieces] == [30, 30]
+    with pytest.raises(DataError, match=r"short: 59 samples are too few to be cut"):
+        folds([measure(truth_model(), steps(0.295, rng), rng, name="short")])
+    # Many seconds, few samples: no more pieces than have enough of them.
+    slow = make_record("slow", np.arange(90) * 0.2, np.repeat((10.0, 20.0, 15.0), 30), np.arange(90) * 2.0)
+    assert len(folds([slow])[0]) == 2
 
 
 def test_a_piece_of_a_record_goes_on_where_the_one_before_ended() -> None:

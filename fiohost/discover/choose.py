@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.floor import repeats
+from fiohost.errors import DataError
 from fiohost.estimation.fit import Fit, unchanged
 from fiohost.estimation.intervals import Estimate, covariance, estimates
-from fiohost.estimation.record import Record, make_record
+from fiohost.estimation.record import SHORTEST, Record, make_record
 from fiohost.motor.effect import Parameter, Value
 from fiohost.motor.model import Model
 
@@ -25,6 +26,8 @@ STEP_SHARES = (1.0, 0.5, 0.25)
 KNOWN_ANYWAY = 0.02
 SIGMAS_FROM_NEUTRAL = 3.0
 BLOCK_S = 2.0
+# Edges move by a quarter of a piece at most: so two pieces, and more of twice the shortest, are long enough.
+SHORTEST_CUT = 3 * SHORTEST
 
 
 def slices(record: Record, pieces: int) -> list[Record]:
@@ -88,7 +91,13 @@ def folds(records: Sequence[Record], most: int = 6) -> tuple[list[Record], list[
     experiments.extend([i] for i in range(len(records)) if i not in grouped)
     counts = [1] * len(records)
     if len(experiments) < 3:
-        counts = [max(2, min(4, int(r.seconds // 4))) for r in records]
+        for record in records:
+            if len(record) < SHORTEST_CUT:
+                raise DataError(
+                    f"{record.name}: {len(record)} samples are too few to be cut in pieces, as is done with fewer than "
+                    f"three experiments; at least {SHORTEST_CUT} are needed"
+                )
+        counts = [max(2, min(4, int(r.seconds // 4), len(r) // (2 * SHORTEST))) for r in records]
     pieces: list[Record] = []
     where: list[list[int]] = []
     for record, count in zip(records, counts, strict=True):
