@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from short_runs import logs_of
 from test_agreement import IDEAL, physical_model
@@ -63,6 +63,7 @@ def test_figures_of_a_first_order_lag_are_its_logarithms() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=60), st.floats(-1e3, 1e3))
+@example([1.0, 2.225073858507e-311], 0.0)
 def test_figures_of_any_response_are_bounded_by_its_run(values: list[float], target: float) -> None:
     times = np.arange(len(values)) * 0.01
     found = step_figures(times, np.array(values), 0.0, target)

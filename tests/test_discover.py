@@ -17,6 +17,7 @@ from fiohost.discover.result import to_json
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import make_record
+from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
 
@@ -74,17 +75,29 @@ def test_an_effect_outside_the_library_is_not_explained_away() -> None:
     assert named["tests"]["above_floor"]
 
 
-def test_an_effect_mistaken_for_a_part_of_another_gives_way_to_it() -> None:
-    """The first round takes what two effects do together for one with more freedom; the second makes it simple."""
-    values = {"input_deadband.level_pct": 6.0, "shaft_compliance.resonance_hz": 6.0}
-    values |= {"shaft_compliance.damping_ratio": 0.08, "shaft_compliance.inertia_ratio": 0.45}
-    truth = truth_model(("coulomb_friction", "input_deadband", "shaft_compliance"), values)
-    found = diagnose_records(suite(truth, 5), (), DECLARED)
-    assert sorted(s.effect for s in found.steps) == ["input_deadband", "shaft_compliance"]
-    taken = [s for s in found.steps if "in_place_of" in s.evidence]
-    for step in taken:
-        assert step.evidence["in_place_of"] not in found.final.fit.model.effects
+@pytest.mark.parametrize(
+    ("mistaken", "truth"),
+    [
+        # Both directions together look like two levels, until there is a load to tell them apart: then one will do.
+        ("asymmetric_deadband", {"input_deadband.level_pct": 6.0, "constant_load.level_pct": 1.5}),
+        # What pulls one way and turns with the angle looks like a gain of its own in each direction.
+        (
+            "direction_dependent_gain",
+            {"constant_load.level_pct": 2.0, "gravity_load.level_pct": 3.0, "gravity_load.phase_deg": 60.0},
+        ),
+    ],
+)
+def test_an_effect_mistaken_for_a_part_of_another_gives_way_to_it(mistaken: str, truth: dict[str, Value]) -> None:
+    names = list(dict.fromkeys(key.partition(".")[0] for key in truth))
+    model = truth_model(("coulomb_friction", *names), truth)
+    found = diagnose_records(suite(model, 5), (), DECLARED, library=[*names, mistaken])
+    assert sorted(s.effect for s in found.steps) == sorted(names)
+    assert [s.evidence["in_place_of"] for s in found.steps if "in_place_of" in s.evidence] == [mistaken]
+    for key, value in truth.items():
+        assert found.final.fit.model.number(key) == pytest.approx(value, rel=0.02), key
+    for step in found.steps:
         assert step.effect in step.stage.fit.model.effects
+        assert mistaken not in step.stage.fit.model.effects
 
 
 def test_held_out_records_change_nothing_but_the_report() -> None:

@@ -6,6 +6,7 @@ a response that does not get somewhere takes the whole run for it, and one that 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,14 @@ def step_figures(
 @inlined
 def _first(time_s, y, start, change, level):  # type: ignore[no-untyped-def]
     """When the response first reaches a level of its change; the end of the run where it does not."""
+    sign, goal = math.copysign(1.0, change), level * abs(change)
     for k in range(y.shape[0]):
-        way = (y[k] - start) / change
-        if way >= level:
+        way = sign * (y[k] - start)
+        if way >= goal:
             if k == 0:
                 return time_s[0]
-            before = (y[k - 1] - start) / change
-            return time_s[k - 1] + (level - before) / (way - before) * (time_s[k] - time_s[k - 1])
+            before = sign * (y[k - 1] - start)
+            return time_s[k - 1] + (goal - before) / (way - before) * (time_s[k] - time_s[k - 1])
     return time_s[-1]
 
 
@@ -74,13 +76,13 @@ def _first(time_s, y, start, change, level):  # type: ignore[no-untyped-def]
 def _settled(time_s, y, start, change, band):  # type: ignore[no-untyped-def]
     """When the response comes into the band about its final value for good; the end of the run where it does not."""
     n = y.shape[0]
+    allowed = band * abs(change)
     for k in range(n - 1, -1, -1):
-        way = (y[k] - start) / change
-        if abs(way - 1.0) > band:
+        off = y[k] - start - change
+        if abs(off) > allowed:
             if k == n - 1:
                 return time_s[n - 1]
-            edge = 1.0 + band if way > 1.0 else 1.0 - band
-            share = (edge - way) / ((y[k + 1] - start) / change - way)
+            share = (abs(off) - allowed) / (abs(off) - math.copysign(1.0, off) * (y[k + 1] - start - change))
             return time_s[k] + min(max(share, 0.0), 1.0) * (time_s[k + 1] - time_s[k])
     return time_s[0]
 

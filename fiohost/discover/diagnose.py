@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fiohost.discover.clock import by_one_clock, in_sequence
+from fiohost.discover.clock import in_sequence
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
@@ -20,21 +20,14 @@ from fiohost.discover.outlook import Outlook
 from fiohost.discover.preliminary import Preliminary, examine
 from fiohost.discover.round import Candidate, Progress
 from fiohost.discover.said import Said
-from fiohost.discover.search import SHOWS, Search, declared_alone, eased, only_commonest, select
 from fiohost.discover.stage import Stage
-from fiohost.discover.step import Found, Step
+from fiohost.discover.step import Step
+from fiohost.discover.strategy import searched
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, with_bench_zero
 from fiohost.motor.model import Model
-
-# Where whole free runs cannot be explained, slow disturbances rule them; windows of this length ask about the dynamics.
-WINDOW_S = 1.0
-# One search is preferred to another where it comes so much closer.
-BETTER = 0.97
-# They are looked at where so much of their power stands above the floor, as a share of it.
-FAR_FROM_FLOOR = 3.0
 
 
 @dataclass(frozen=True)
@@ -66,11 +59,6 @@ class Diagnosis:
         if not self.final.follows:
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
-
-
-def _window_rms(found: Found) -> float:
-    errors = pool([j.errors for j in found.final.judgements])
-    return errors.window_rms if errors else 0.0
 
 
 def diagnose_records(
@@ -116,7 +104,7 @@ def _diagnose(
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
-    found = _searched(train, model, library, from_file, rng, say)
+    found = searched(train, model, library, from_file, rng, say)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
@@ -140,54 +128,6 @@ def _diagnose(
         files=files,
         one_clock=found.one_clock,
     )
-
-
-def _searched(
-    train: Sequence[Record],
-    model: Model,
-    library: Sequence[str] | None,
-    from_file: bool,
-    rng: np.random.Generator,
-    say: Progress,
-) -> Found:
-    """The search by whole runs; where these stay unexplained, by windows, and by whole runs again from there.
-
-    Names from windows count only once whole runs can be followed with them: windows alone also like what just lets a
-    shaft coast whose speed wanders.
-    """
-    whole = Search(train, rng, library, say)
-    alone = declared_alone(whole, model, from_file)
-
-    def by_windows() -> Found:
-        seen = select(Search(train, rng, library, say, windows=True), alone)
-        if not seen.steps or seen.final.fit.windows:
-            return seen
-        return select(whole, eased(whole, seen) if whole.context.few else seen)
-
-    seen = None
-    if whole.context.few and not alone.final.follows:
-        say(f"few experiments: looking at windows of {WINDOW_S:g} s first")
-        seen = by_windows()
-        if seen.steps and (seen.final.follows or seen.final.windows_above_floor < SHOWS):
-            return seen
-    found = select(whole, alone)
-    if not found.final.follows and (timed := by_one_clock(whole, model, from_file)):
-        return timed
-    left = found.final.windows_above_floor
-    if (
-        not found.final.follows
-        and not whole.context.few
-        and (left > FAR_FROM_FLOOR or (found.final.lost and left > SHOWS))
-    ):
-        say(f"whole runs stay unexplained: looking at windows of {WINDOW_S:g} s")
-        seen = by_windows()
-    if not found.final.follows and seen and seen.steps and not seen.final.fit.windows:
-        found = seen if _window_rms(seen) < BETTER * _window_rms(found) else found
-    if not found.final.follows and found.final.lost:
-        say("still far from the floor: beginning anew with each effect")
-        other = select(Search(train, rng, library, say, anew=True), alone)
-        found = other if other.final.fit.rms < BETTER * found.final.fit.rms else found
-    return only_commonest(whole, found) if found.steps and found.final.utterly_lost else found
 
 
 def pooled(judgements: Sequence[Judgement]) -> Errors | None:

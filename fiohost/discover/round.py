@@ -141,14 +141,13 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     able = [c for c in found if c.validated is not None]
     if not able:
         return Outcome(found)
-    winner = _winner(_finalists(context, able))
-    assert winner.validated is not None
+    best, validated = winner(_finalists(context, able))
     evidence = {
-        "residual_power_removed": winner.score,
+        "residual_power_removed": best.score,
         "by_chance": chance,
-        "cross_validated_error_ratio": float(np.sqrt(winner.validated.cost / base.cost)),
+        "cross_validated_error_ratio": float(np.sqrt(validated.cost / base.cost)),
     }
-    return Outcome([beside(c, winner) for c in found], winner, evidence, base.cost)
+    return Outcome([beside(c, best) for c in found], best, evidence, base.cost)
 
 
 def _chance(context: Context, screen: Screen, scores: Sequence[Score]) -> float:
@@ -268,11 +267,11 @@ def _polished(candidate: Candidate, validated: Validated, context: Context) -> V
     return validated if objection(better, candidate.effect) else replace(validated, fit=better)
 
 
-def _winner(finalists: Sequence[tuple[Candidate, Validated]]) -> Candidate:
+def winner(finalists: Sequence[tuple[Candidate, Validated]]) -> tuple[Candidate, Validated]:
     """The best fit to all training records decides; among those as good, the simplest, then the commonest."""
     fitted = min(v.fit.cost for _, v in finalists)
-    equal = [c for c, v in finalists if v.fit.cost <= AS_GOOD_FITTED * fitted]
-    return min(equal, key=lambda c: (len(effect(c.effect).parameters), effect(c.effect).commonness))
+    equal = [(c, v) for c, v in finalists if v.fit.cost <= AS_GOOD_FITTED * fitted]
+    return min(equal, key=lambda pair: (len(effect(pair[0].effect).parameters), effect(pair[0].effect).commonness))
 
 
 def beside(candidate: Candidate, winner: Candidate) -> Candidate:

@@ -203,7 +203,7 @@ def select(search: Search, begun: Found) -> Found:
             steps = [s for s in steps if s.effect in stage.fit.model.effects]
             if steps:
                 steps = [*steps[:-1], replace(steps[-1], stage=stage)]
-            elif stage is not was:
+            elif stage is not was and declared is begun.stages[0]:
                 declared = stage
                 continue
             unneeded = "is not missed by left-out records once the rest is fitted again"
