@@ -24,6 +24,8 @@ CLOSE = 1.03
 SHARED_GAIN = 0.8
 STEP_SHARES = (1.0, 0.5, 0.25)
 KNOWN_ANYWAY = 0.02
+# Of a parameter that the others know by no more than this share of what one group does, they know nothing.
+ELSEWHERE = 1e-3
 SIGMAS_FROM_NEUTRAL = 3.0
 BLOCK_S = 2.0
 # Edges move by a quarter of a piece at most: so two pieces, and more of twice the shortest, are long enough.
@@ -153,6 +155,17 @@ def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) 
         if unchanged(model, kept, starts=starts, windows=fitted.windows).cost <= before:
             return model
     return fitted.model
+
+
+def only_in(fitted: Fit, name: str, groups: Sequence[Sequence[int]]) -> Sequence[int] | None:
+    """The one group of records that knows the parameters of an effect, or None where others do: without it they would
+    stay as they are (``without_group``), so that leaving it out confirms nothing.
+    """
+    columns = [i for i, key in enumerate(fitted.names) if key.partition(".")[0] == name]
+    known = np.array([sum(np.sum(fitted.jacobians[i][:, columns] ** 2, axis=0) for i in group) for group in groups])
+    which = int(np.argmax(known.sum(axis=1)))
+    rest = known.sum(axis=0) - known[which]
+    return groups[which] if columns and (rest <= ELSEWHERE * known[which]).all() else None
 
 
 def validate(fitted: Fit, cv_records: Sequence[Record], groups: Sequence[Sequence[int]]) -> Validated:

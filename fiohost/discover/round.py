@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.choose import CLOSE, Validated, objection, only_at_a_bound, validate
+from fiohost.discover.choose import CLOSE, Validated, objection, only_at_a_bound, only_in, validate
 from fiohost.discover.floor import replica_errors
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.refit import fit_anew, full_fit, polish, rough_fit
@@ -115,13 +115,13 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
     believed = [
         f.cost
         for s, f in zip(scores, refits, strict=False)
-        if objection(f, s.effect.name) is None and _can_be_confirmed(s, f, stage)
+        if objection(f, s.effect.name) is None and _unconfirmed(context, stage, s, f) is None
     ]
     least = min(believed, default=np.inf)
     found: list[Candidate] = []
     for score, fitted in zip(scores, refits, strict=False):
         share = 1.0 - fitted.cost / stage.fit.cost
-        why = _objection(stage, score, fitted, share, chance, least, first)
+        why = _objection(context, stage, score, fitted, share, chance, least, first)
         found.append(Candidate(score.effect.name, share, why))
     passed = [i for i, c in enumerate(found) if c.rejected_because is None]
     context.say(f"cross-validating {len(passed)} of them")
@@ -190,7 +190,7 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
         fits = [min(pair, key=lambda f: f.cost) for pair in zip(fits, anew, strict=False)] + anew[len(fits) :]
     if not context.windows and not context.anew and min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms:
         return list(scores), []
-    sure = [f.cost for s, f in zip(worth, fits, strict=True) if _can_be_confirmed(s, f, stage)]
+    sure = [f.cost for s, f in zip(worth, fits, strict=True) if _unconfirmed(context, stage, s, f) is None]
     far = HOPELESS if everyone else FAR
     near = [i for i, f in enumerate(fits) if f.cost <= far * min(sure, default=np.inf)]
     full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records), near)
@@ -219,18 +219,27 @@ def _from_the_best(context: Context, scores: Sequence[Score], refits: Sequence[F
     return each(better, list(zip(scores, refits, strict=False)))
 
 
-def _can_be_confirmed(score: Score, fitted: Fit, stage: Stage) -> bool:
-    """Whether a fit is anything to be measured against: an event that leaves something may be blamed for anything."""
-    return not score.effect.once or fitted.rms <= FINISHED * stage.floor_rms
+def _unconfirmed(context: Context, stage: Stage, score: Score, fitted: Fit) -> str | None:
+    """Why left-out records cannot speak for an effect that leaves something, or None: what happened once, or what only
+    one experiment shows, may be blamed for anything that was peculiar to it.
+    """
+    left = fitted.rms / stage.floor_rms
+    if score.effect.once:
+        why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
+        return why if left > FINISHED else None
+    group = only_in(fitted, score.effect.name, context.groups)
+    if group is None or (left := stage.left_of(fitted, group)) <= FINISHED:
+        return None
+    return f"only {context.records[group[0]].name} shows it, and {left:.2f} times the floor is left there"
 
 
 def _objection(
-    stage: Stage, score: Score, fitted: Fit, share: float, chance: float, least: float, first: bool
+    context: Context, stage: Stage, score: Score, fitted: Fit, share: float, chance: float, least: float, first: bool
 ) -> str | None:
     """Why a refitted candidate is not even cross-validated, or None."""
     left = fitted.rms / stage.floor_rms
-    if not _can_be_confirmed(score, fitted, stage):
-        return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
+    if unconfirmed := _unconfirmed(context, stage, score, fitted):
+        return unconfirmed
     above = 1.0 - (left**2 - 1.0) / max((stage.fit.rms / stage.floor_rms) ** 2 - 1.0, 1e-12)
     if not first and above < LEAST_OF_REST:
         return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"

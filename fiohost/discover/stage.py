@@ -62,6 +62,17 @@ class Stage:
         weight = sum(j.weighed.weight for j in self.judgements)
         return float(np.sqrt(sum(squares) / weight)) if sum(squares) > 0.0 else float("inf")
 
+    def left_of(self, other: Fit, records: Sequence[int]) -> float:
+        """Error of another fit in some of its records, as a multiple of their floor; of all if they are but pieces."""
+        if len(other.residuals) != len(self.floors):
+            return other.rms / self.floor_rms
+        squares = sum(float(other.residuals[i] @ other.residuals[i]) for i in records)
+        if other.windows:
+            floor = sum(len(other.residuals[i]) * self.floors[i].errors.window_rms ** 2 for i in records)
+        else:
+            floor = sum(self.floors[i].weighted_square for i in records)
+        return float(np.sqrt(squares / floor)) if floor > 0.0 else float("inf")
+
     @property
     def powers(self) -> tuple[float, ...]:
         """Mean squares of what counts, all records together: of one-second windows, and of free runs where fitted."""
