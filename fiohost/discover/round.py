@@ -29,7 +29,7 @@ LEAST_REFITTED, REFITTED = 4, 10
 # Beside what is named already, fewer in windows, where each is dear.
 REFITTED_BESIDE = 6
 FAR, HOPELESS = 12.0, 4.0
-# So many begin anew where nothing comes close to the floor, all where nothing comes anywhere near it.
+# So many begin anew where nothing comes close to the floor; in a first round all, where nothing comes anywhere near it.
 REFITTED_ANEW = 16
 # Squared errors this close are the same: left out, where single sticks of the shaft make it rugged, and fitted.
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
@@ -183,7 +183,7 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     far = LOST if first else UTTERLY_LOST  # beside what is named already, only where all else leads nowhere
     if context.anew and min(f.rms for f in fits) > far * stage.floor_rms:
         context.say("still far from the floor: beginning anew with each of them")
-        lost = min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms
+        lost = first and min(f.rms for f in fits) > UTTERLY_LOST * stage.floor_rms
         more = scores if lost else scores[:REFITTED_ANEW]
         worth += [s for s in more if s not in worth]
         anew = each(lambda s: fit_anew(stage.fit, s, context.records), worth)

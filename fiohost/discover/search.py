@@ -233,9 +233,7 @@ def select(search: Search, begun: Found) -> Found:
         if stage.lost and not search.context.windows and not search.context.anew:
             break  # beside a model that whole runs cannot follow, nothing can be told by them
     if steps and not stage.follows and _explained_share(declared, stage) < LEAST_OF_ALL:
-        say("what was added explains less than half: taken back")
-        why = "was added, but all that was explains less than half of what stands above the floor"
-        return Found((declared,), (), tuple(_taken_back(steps, offered, why)))
+        return _all_taken_back(search, declared, steps, offered)
     return Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
 
 
@@ -250,8 +248,17 @@ def only_commonest(search: Search, found: Found) -> Found:
     by_windows = judged(near, search.records, search.train, search.context.rng)
     if by_windows.powers[0] < only.stage.powers[0]:
         only = replace(only, stage=by_windows)
+    if _explained_share(found.stages[0], only.stage) < LEAST_OF_ALL:
+        return _all_taken_back(search, found.stages[0], found.steps, found.offered)
     why = "was added, but whole runs cannot be followed with it either"
     return Found((found.stages[0], only.stage), (only,), tuple(_taken_back(found.steps[1:], found.offered, why)))
+
+
+def _all_taken_back(search: Search, declared: Stage, steps: Sequence[Step], offered: Sequence[Candidate]) -> Found:
+    """The declared model alone, where what was added to it leaves most of what stands above the floor."""
+    search.context.say("what was added explains less than half: taken back")
+    why = "was added, but all that was explains less than half of what stands above the floor"
+    return Found((declared,), (), tuple(_taken_back(steps, offered, why)))
 
 
 def _taken_back(steps: Sequence[Step], offered: Sequence[Candidate], why: str) -> list[Candidate]:
