@@ -20,6 +20,8 @@ from fiohost.estimation.record import make_record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
+from fiohost.report.preliminary import warnings
+from fiohost.report.words import verdict_sentence
 
 DECLARED = Model.parse("linear+coulomb_friction")
 
@@ -127,6 +129,24 @@ def test_held_out_records_change_nothing_but_the_report() -> None:
     alone, with_held = (diagnose_records(train, h, DECLARED, library=library) for h in ((), held))
     assert alone.final.fit.model == with_held.final.fit.model
     assert [c.score for c in alone.candidates] == [c.score for c in with_held.candidates]
+
+
+def test_a_held_out_record_that_shows_more_than_all_training_records_is_pointed_out() -> None:
+    truth = truth_model(("coulomb_friction", "voltage_saturation"), {"voltage_saturation.limit_pct": 70.0})
+    rng = np.random.default_rng(31)
+    train = [measure(truth, multisine(8.0, rng, 60.0), rng, name=f"gentle{i}") for i in range(3)]
+    strong = measure(truth, np.repeat((30.0, 95.0, -20.0, -90.0), 400), rng, name="strong")
+    held = [measure(truth, multisine(8.0, rng, 60.0), rng, name="also gentle"), strong]
+    library = ["voltage_saturation", "constant_load"]
+    told = to_json(diagnose_records(train, held, DECLARED, library=library))
+    assert told["verdict"] == "no_missing_effect"
+    assert {e["log"] for e in told["holdout_not_followed"]} == {"strong"}
+    assert "does not follow what was held out" in verdict_sentence(told)
+    assert [text.split(":")[0] for text in warnings(told)] == ["Strong"]
+    among = to_json(diagnose_records([*train, strong], held[:1], DECLARED, library=library))
+    assert [s["effect"] for s in among["steps"]] == ["voltage_saturation"]
+    assert among["holdout_not_followed"] == []
+    assert warnings(among) == []
 
 
 def test_the_missing_torque_over_time_is_recovered_from_the_residual() -> None:

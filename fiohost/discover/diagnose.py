@@ -23,6 +23,7 @@ from fiohost.discover.said import Said
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.strategy import searched
+from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
@@ -59,6 +60,14 @@ class Diagnosis:
         if not self.final.follows:
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
+
+    @property
+    def not_followed(self) -> list[Excess]:
+        """Where held-out records stand above what chance allows though all training records are followed: they show
+        something that those do not. It is said, and changes nothing else.
+        """
+        above = excesses(self.holdout, self.after_holdout, self.floor_holdout) if self.final.follows else []
+        return [e for e in above if e.value > e.allowed]
 
 
 def diagnose_records(

@@ -11,6 +11,7 @@ from fiohost.discover.floor import REPLICAS
 from fiohost.discover.metrics import Errors, pool
 from fiohost.discover.stage import Stage
 from fiohost.discover.units import LOG_UNIT, in_metres
+from fiohost.discover.verdict import Excess
 
 
 def _errors(errors: Errors | None) -> dict[str, Any] | None:
@@ -31,6 +32,10 @@ def _parameters(diagnosis: Diagnosis, stage: Stage, only: str | None = None) -> 
         else:
             found[key] = known[name].to_json()
     return found
+
+
+def _excess(above: Excess) -> dict[str, Any]:
+    return {"log": above.record, "figure": above.figure, "value": above.value, "limit": above.limit}
 
 
 def clean(value: Any) -> Any:
@@ -65,7 +70,6 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                 }
             )
     sources = {f.source for f in (*final.floors, *found.floor_holdout)}
-    exceeded = [e for e in final.excesses if e.exceeded]
     upcoming = found.outlook.next_experiment
     result = {
         "schema": "fiohost.diagnosis/1",
@@ -106,11 +110,10 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {
                 **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},
-                "above_floor": [
-                    {"log": e.record, "figure": e.figure, "value": e.value, "limit": e.limit} for e in exceeded
-                ],
+                "above_floor": [_excess(e) for e in final.excesses if e.exceeded],
             },
         },
+        "holdout_not_followed": [_excess(e) for e in found.not_followed],
         "next_experiment": upcoming.to_json() if upcoming else None,
         "detection_limits": [limit.to_json() for limit in found.outlook.limits],
         "separation": upcoming.separation_json() if upcoming else None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from fiohost.report.words import effect_words, listed, number
+from fiohost.report.words import effect_words, error_of, listed, number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -87,8 +87,27 @@ def answers(question: Mapping[str, Any]) -> str:
 def warnings(diagnosis: Mapping[str, Any]) -> list[str]:
     """What must be known before the verdict is believed, a sentence each."""
     told = [f"{row['where']}: {row['advice']}." for row in findings(diagnosis, harm=True)]
+    told += [f"{name}: {words}." for name, words in not_followed(diagnosis).items()]
     contradicted = [q for _, q in questions(diagnosis) if q.get("verdict") in ("contradicted", "suspected")]
     return [_sentence(text) for text in [*(f"{q.get('sentence')}." for q in contradicted), *told]]
+
+
+def not_followed(diagnosis: Mapping[str, Any]) -> dict[str, str]:
+    """Of every held-out log that the final model does not follow, by name, how far it is off and what that means."""
+    blocks = {b.get("file"): b for b in diagnosis.get("logs") or [] if b.get("role") == "holdout"}
+    told = {}
+    for name in dict.fromkeys(e.get("log") for e in diagnosis.get("holdout_not_followed") or []):
+        block = blocks.get(name) or {}
+        parts = [
+            f"{number(after / floor, 3)} times its floor in {where}"
+            for where, key in (("1 s windows", "window_rms"), ("the whole run", "free_run_rms"))
+            if (after := error_of(block, "after", key)) is not None and (floor := error_of(block, "floor", key))
+        ]
+        told[str(name)] = (
+            f"held out, the model does not follow it ({listed(parts)}), though it follows all training logs; this log "
+            "shows something that none of those does: diagnose it among them"
+        )
+    return told
 
 
 def _sentence(text: str) -> str:

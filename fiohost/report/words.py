@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 DASH = "–"
+MORE_HELD_OUT = " What was held out is not all followed by it."
 ROLE_WORDS = {"train": "training", "holdout": "held out"}
 
 FOLLOWS = {
@@ -121,10 +122,16 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     found = [with_rivals(step) for step in diagnosis.get("steps") or []]
     change = _change(diagnosis)
     rest = follows(diagnosis)
+    more = bool(diagnosis.get("holdout_not_followed"))
+    if verdict == "no_missing_effect" and more:
+        return (
+            f"Nothing is missing from {declared} that the training logs show, but it does not follow what was held "
+            f"out{_level(diagnosis)}."
+        )
     if verdict == "no_missing_effect":
         return f"Nothing is missing: {declared} explains the data down to their floor{_level(diagnosis)}."
     if verdict == "explained":
-        return f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}"
+        return f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}{MORE_HELD_OUT if more else ''}"
     remains = f"what remains follows {rest}" if rest else "what remains follows nothing that was looked at"
     if found:
         return (
