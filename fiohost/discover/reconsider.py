@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fiohost.discover.choose import Validated, indistinguishable
 from fiohost.discover.exchange import better
 from fiohost.discover.refit import again, as_it_is
 from fiohost.discover.round import Candidate, run_round, winner
@@ -12,7 +11,6 @@ from fiohost.discover.search import Search
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found, Step, named_with
 from fiohost.estimation.fit import Fit
-from fiohost.motor.model import Model
 
 
 def reconsidered(search: Search, found: Found) -> Found:
@@ -33,7 +31,6 @@ def reconsidered(search: Search, found: Found) -> Found:
         search.context.say(f"{name}, asked for again beside the others")
         outcome = run_round(search.context, replace(final, fit=_rest(search, final, name)), first=False)
         able = [(c, c.validated) for c in outcome.candidates if c.validated is not None and c.effect != name]
-        able.sort(key=lambda pair: pair[1].cost)
         here = search.context.validate(final.fit)
         takers = [(c, v) for c, v in able if better(v.fit, c.effect, final.fit, name)]
         if takers:
@@ -43,7 +40,8 @@ def reconsidered(search: Search, found: Found) -> Found:
                 search.context.say(f"{taken.effect} takes the place of {name}")
                 steps = _with_another(search, steps, i, taken, stage)
                 final, here, changed = stage, validated, True
-        rivals = _alike(here, able, steps[i].effect, outcome.base_cost)
+        rivals = search.rivals(steps[i].effect, here, outcome)
+        rivals.pop(name, None)
         named = named_with(steps[i].effect, rivals)
         steps[i] = replace(steps[i], indistinguishable_from=named, rival_models=rivals)
     return replace(found, stages=(*found.stages[:-1], final), steps=tuple(steps))
@@ -51,11 +49,6 @@ def reconsidered(search: Search, found: Found) -> Found:
 
 def _rest(search: Search, stage: Stage, name: str) -> Fit:
     return as_it_is(stage.fit, stage.fit.model.without([name]), search.records)
-
-
-def _alike(here: Validated, able: list[tuple[Candidate, Validated]], name: str, base_cost: float) -> dict[str, Model]:
-    """Those of the candidates, by name, that left-out records cannot tell from the one that is there."""
-    return {c.effect: v.fit.model for c, v in able if c.effect != name and indistinguishable(here, v, base_cost)}
 
 
 def _with_another(search: Search, steps: list[Step], at: int, taken: Candidate, final: Stage) -> list[Step]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.choose import SHARED_GAIN, folds, indistinguishable, objection
+from fiohost.discover.choose import SHARED_GAIN, Validated, folds, indistinguishable, objection
 from fiohost.discover.evidence import dependences
 from fiohost.discover.exchange import commonest, exchanged, swapped
 from fiohost.discover.refit import again, searched_again, unstuck
@@ -90,12 +90,9 @@ class Search:
             return stage
         return self.stage(better)
 
-    def rivals(self, outcome: Outcome) -> dict[str, Model]:
-        """Those whose left-out error this data cannot tell from the winner's, as they were fitted."""
-        winner = outcome.winner
-        if winner is None or winner.validated is None:
-            return {}
-        best, gain = winner.validated, outcome.base_cost - winner.validated.cost
+    def rivals(self, name: str, best: Validated, outcome: Outcome) -> dict[str, Model]:
+        """Those whose left-out error this data cannot tell from that of the one that was taken, as they were fitted."""
+        gain = outcome.base_cost - best.cost
         beside = {c.effect: c.validated for c in outcome.candidates if c.validated is not None}
         beside |= {
             c.effect: c.as_rival
@@ -103,9 +100,9 @@ class Search:
             if c.as_rival is not None and outcome.base_cost - c.as_rival.cost >= SHARED_GAIN * gain
         }
         return {
-            name: rival.fit.model
-            for name, rival in beside.items()
-            if name != winner.effect and indistinguishable(best, rival, outcome.base_cost)
+            other: rival.fit.model
+            for other, rival in beside.items()
+            if other != name and indistinguishable(best, rival, outcome.base_cost)
         }
 
     def prune(self, fitted: Fit, declared: Model) -> Fit:
@@ -223,7 +220,7 @@ def select(search: Search, begun: Found) -> Found:
         follows = dependences(search.train, stage.fit.model, stage.judgements, rng)
         evidence = dict(outcome.evidence)
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
-        rivals = search.rivals(outcome)
+        rivals = search.rivals(winner.effect, winner.validated, outcome)
         stage = grown
         steps = [replace(s, effect=told[s.effect], indistinguishable_from=()) if s.effect in told else s for s in steps]
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
