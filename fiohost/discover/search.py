@@ -241,11 +241,12 @@ def only_commonest(search: Search, found: Found) -> Found:
     """
     search.context.say("whole runs still cannot be followed: one name is kept, with all that explain not much less")
     only = commonest(found.steps[0], search.stage)
+    explained = _explained_share(found.stages[0], only.stage)
     near = fit(only.stage.fit.model, search.records, windows=True, max_iterations=25, tolerance=1e-6)
     by_windows = judged(near, search.records, search.train, search.context.rng)
     if by_windows.powers[0] < only.stage.powers[0]:
         only = replace(only, stage=by_windows)
-    if _explained_share(found.stages[0], only.stage) < LEAST_OF_ALL:
+    if max(explained, _explained_share(found.stages[0], only.stage)) < LEAST_OF_ALL:
         return _all_taken_back(search, found.stages[0], found.steps, found.offered)
     why = "was added, but whole runs cannot be followed with it either"
     return Found((found.stages[0], only.stage), (only,), tuple(_taken_back(found.steps[1:], found.offered, why)))
