@@ -73,9 +73,9 @@ def simulate(  # type: ignore[no-untyped-def]
                 u = side * math.floor(size / 100.0 * q[0]) / q[0] * 100.0
             elif kind == DRIFT:
                 u = u * (1.0 + q[0] * (clock + time))
-            push = u - speed / gain
+            push = 0.0 if loose else u - speed / gain
             if kind == LAG:
-                current += h / q[0] * (push - current)
+                current = 0.0 if loose else current + h / q[0] * (push - current)
                 push = current
             elif kind == SAG:
                 push /= 1.0 + q[0] * (u / 100.0) ** 2
@@ -86,8 +86,6 @@ def simulate(  # type: ignore[no-untyped-def]
                 push = min(max(push, -q[0]), q[0])
             elif kind == DROP:
                 push = math.copysign(max(abs(push) - q[0], 0.0), push)
-            if loose:
-                push = 0.0
             mass = inertia
             if (kind == EVERY and time > q[1]) or (kind == ONCE and clock + time > q[1]):
                 mass *= q[0]

@@ -90,6 +90,18 @@ class Search:
             return stage
         return self.stage(better)
 
+    def off_its_ledge(self, stage: Stage, added: bool) -> Stage:
+        """The stage, its fit begun again around each parameter if it may stand on a ledge beside its minimum: what
+        windows nearly follow and whole runs do not may be no more than that. ``added``: its last effect was, and has to
+        stay believable.
+        """
+        if stage.follows or stage.fit.windows or stage.windows_above_floor > STUCK:
+            return stage
+        better = unstuck(stage.fit, self.records, self.context.rng)
+        if better.cost >= stage.fit.cost or (added and objection(better, better.model.effects[-1])):
+            return stage
+        return self.stage(better)
+
     def rivals(self, name: str, best: Validated, outcome: Outcome) -> dict[str, Model]:
         """Those whose left-out error this data cannot tell from that of the one that was taken, as they were fitted."""
         gain = outcome.base_cost - best.cost
@@ -159,17 +171,10 @@ def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
 
 
 def eased(search: Search, found: Found) -> Found:
-    """What a search came to, its last fit got off its ledge if it may stand on one.
-
-    What windows nearly follow and whole runs do not may be no more than a fit beside its minimum.
-    """
-    stage = found.final
-    if stage.follows or stage.fit.windows or stage.windows_above_floor > STUCK:
+    """What a search came to, its last fit got off its ledge if it may stand on one."""
+    stage = search.off_its_ledge(found.final, bool(found.steps))
+    if stage is found.final:
         return found
-    better = unstuck(stage.fit, search.records, search.context.rng)
-    if better.cost >= stage.fit.cost or (found.steps and objection(better, better.model.effects[-1])):
-        return found
-    stage = search.stage(better)
     steps = tuple(replace(s, stage=stage) if s is found.steps[-1] else s for s in found.steps)
     return replace(found, stages=(*found.stages[:-1], stage), steps=steps)
 
@@ -212,6 +217,7 @@ def select(search: Search, begun: Found) -> Found:
         if not grown.at_floor:
             pruned, told = exchanged(search.context, pruned, model)
             grown = search.settled(pruned) if told else grown
+        grown = search.off_its_ledge(grown, True)
         why = _reproach(stage, grown) if steps else None
         if why:
             say(f"{winner.effect} {why}: not added")
