@@ -6,7 +6,6 @@ a response that does not get somewhere takes the whole run for it, and one that 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ from fiohost.motor.compiled import compiled, inlined
 TAIL = 0.1  # share of the run whose mean is the final value
 STANDS_STILL = 1e-6  # a change of this share of what was asked for is none
 MOST_OVERSHOOT_PCT = 1000.0
+LEAST_CHANGE = 1e-150  # of less, shares overflow
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,13 @@ def step_figures(
 @inlined
 def _first(time_s, y, start, change, level):  # type: ignore[no-untyped-def]
     """When the response first reaches a level of its change; the end of the run where it does not."""
-    sign, goal = math.copysign(1.0, change), level * abs(change)
     for k in range(y.shape[0]):
-        way = sign * (y[k] - start)
-        if way >= goal:
+        way = (y[k] - start) / change
+        if way >= level:
             if k == 0:
                 return time_s[0]
-            before = sign * (y[k - 1] - start)
-            return time_s[k - 1] + (goal - before) / (way - before) * (time_s[k] - time_s[k - 1])
+            before = (y[k - 1] - start) / change
+            return time_s[k - 1] + (level - before) / (way - before) * (time_s[k] - time_s[k - 1])
     return time_s[-1]
 
 
@@ -76,13 +75,13 @@ def _first(time_s, y, start, change, level):  # type: ignore[no-untyped-def]
 def _settled(time_s, y, start, change, band):  # type: ignore[no-untyped-def]
     """When the response comes into the band about its final value for good; the end of the run where it does not."""
     n = y.shape[0]
-    allowed = band * abs(change)
     for k in range(n - 1, -1, -1):
-        off = y[k] - start - change
-        if abs(off) > allowed:
+        way = (y[k] - start) / change
+        if abs(way - 1.0) > band:
             if k == n - 1:
                 return time_s[n - 1]
-            share = (abs(off) - allowed) / (abs(off) - math.copysign(1.0, off) * (y[k + 1] - start - change))
+            edge = 1.0 + band if way > 1.0 else 1.0 - band
+            share = (edge - way) / ((y[k + 1] - start) / change - way)
             return time_s[k] + min(max(share, 0.0), 1.0) * (time_s[k + 1] - time_s[k])
     return time_s[0]
 
@@ -98,7 +97,8 @@ def _figures(time_s, y, start, target, times_of_target, found):  # type: ignore[
     change = final - start
     last = time_s[n - 1]
     found[0], found[1], found[2], found[3], found[4], found[5] = 0.0, last, last, last, last, final
-    if abs(change) <= STANDS_STILL * abs(target - start):
+    way = target - start if times_of_target else change
+    if abs(change) <= STANDS_STILL * abs(target - start) or min(abs(change), abs(way)) < LEAST_CHANGE:
         return
     peak = 0
     for k in range(n):
@@ -106,7 +106,6 @@ def _figures(time_s, y, start, target, times_of_target, found):  # type: ignore[
             peak = k
     found[0] = min(max(100.0 * ((y[peak] - start) / change - 1.0), 0.0), MOST_OVERSHOOT_PCT)
     found[2] = time_s[peak]
-    way = target - start if times_of_target else change
     found[1] = _first(time_s, y, start, way, 0.9) - _first(time_s, y, start, way, 0.1)
     found[3] = _settled(time_s, y, start, way, 0.02)
     found[4] = _settled(time_s, y, start, way, 0.05)
