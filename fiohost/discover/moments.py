@@ -18,6 +18,7 @@ from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect, Parameter
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 SMALL_CHANGE = 0.02
 # A moment is looked for between the windows on either side of it, so many places at a time, ever closer.
@@ -54,10 +55,19 @@ def _closer(best: Fit, key: str, records: Sequence[Record]) -> Fit:
         parameter, centre = best.model.parameter(key), best.model.number(key)
         places = np.clip(centre + reach * np.linspace(-1.0, 1.0, LOOKS), parameter.lower, parameter.upper)
         models = [best.model.with_values({key: float(t)}) for t in places]
-        costs = [_window_cost(m, best, records) for m in models]
+        near = [(_around(r, centre, reach), s) for r, s in zip(records, best.starts, strict=True)]
+        costs = [sum(_window_cost(m, s, r) for r, s in near if r is not None) for m in models]
         best = min((best, _held(models[int(np.argmin(costs))], key, records)), key=lambda f: f.cost)
         reach /= CLOSER
     return best
+
+
+def _around(record: Record, moment_s: float, reach_s: float) -> Record | None:
+    """A record with only those windows that a moment so near can reach, or None where it has none."""
+    edges = record.windows
+    times = np.append(record.excitation.times_s, np.inf)[edges] + record.excitation.clock_s
+    near = np.flatnonzero((times[1:] >= moment_s - reach_s) & (times[:-1] <= moment_s + reach_s))
+    return replace(record, windows=edges[near[0] : near[-1] + 2]) if len(near) else None
 
 
 def _held(model: Model, key: str, records: Sequence[Record]) -> Fit:
@@ -71,8 +81,9 @@ def _windows_of(model: Model, like: Fit, records: Sequence[Record]) -> list[np.n
     return [errors(r, flat, s, windows=True) for r, s in zip(records, like.starts, strict=True)]
 
 
-def _window_cost(model: Model, like: Fit, records: Sequence[Record]) -> float:
-    return sum(float(e @ e) for e in _windows_of(model, like, records))
+def _window_cost(model: Model, start: Start, record: Record) -> float:
+    error = errors(record, Flat.of(model), start, windows=True)
+    return float(error @ error)
 
 
 def _suggested(near: Fit, effect: Effect, moment: Parameter, records: Sequence[Record]) -> list[Model]:

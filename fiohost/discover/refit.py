@@ -10,7 +10,7 @@ from fiohost.discover.choose import slices
 from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
-from fiohost.estimation.initial import initial_warmth
+from fiohost.estimation.initial import guessed_warmth
 from fiohost.estimation.intervals import covariance
 from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
@@ -31,6 +31,8 @@ MOMENT_S = 2.0
 SEARCHED_AGAIN, STILL_BETTER = 3, 0.99
 # Another choice is searched where it comes this close, from these multiples of the size.
 ANOTHER_CHOICE, CHOICE_SIZES = 2.0, (1.0, -1.0, 0.5, -0.5, 2.0, -2.0)
+# A tolerance to which windows are fitted along their tangent.
+NEAR_ENOUGH = 1e-4
 # Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
 FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
 LOOKS, NUDGES = 48, 4
@@ -59,7 +61,7 @@ def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:
     if not flat.warms or Flat.of(found.model).warms:
         return list(found.starts)
     return [
-        s._replace(warmth=initial_warmth(r, flat.from_zero(s.zero), s, r.y))
+        s._replace(warmth=guessed_warmth(r, flat.from_zero(s.zero), s, r.y))
         for r, s in zip(records, found.starts, strict=True)
     ]
 
@@ -83,9 +85,11 @@ def as_it_is(found: Fit, model: Model, records: Sequence[Record]) -> Fit:
     return again(found, model, records, 1, tolerance=ENDLESS)
 
 
-def _cost(found: Fit, model: Model, records: Sequence[Record]) -> float:
-    """Squared error of a model as it is, in what another was fitted to."""
-    return unchanged(model, records, starts=found.starts, windows=found.windows).cost
+def _cost(found: Fit, model: Model, records: Sequence[Record], lash: bool = False) -> float:
+    """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
+    ``lash`` is to be taken up anew.
+    """
+    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record], window_starts: int = WINDOW_STARTS) -> Fit:
@@ -118,20 +122,27 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
-def full_fit(rough: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
-    """A rough fit carried to its minimum, along the effect's ragged parameters and through its choices too."""
-    direct = again(rough, rough.model, records, 25, 1e-6)
+def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], far_rms: float = np.inf) -> Fit:
+    """A rough fit carried to its minimum, along the effect's ragged parameters and through its choices too; of windows,
+    as near to it as their tangent leads (``finished``). What stays beyond ``far_rms`` is not searched finely.
+    """
+    direct = again(rough, rough.model, records, 25, NEAR_ENOUGH if rough.windows else 1e-6)
     if direct.windows and effect.once:
         return direct  # its moment and what changed were looked for in all windows
-    best = _thoroughly(direct, effect, records)
+    best = _thoroughly(direct, effect, records, far_rms)
     others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters for c in p.choices]
     near = [f for f in others if f is not best and f.cost < ANOTHER_CHOICE * best.cost]
-    return min((best, *(_thoroughly(f, effect, records) for f in near)), key=lambda f: f.cost)
+    return min((best, *(_thoroughly(f, effect, records, far_rms) for f in near)), key=lambda f: f.cost)
 
 
-def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
+def finished(found: Fit, records: Sequence[Record]) -> Fit:
+    """A fit of windows carried to its minimum."""
+    return min(found, again(found, found.model, records, 25, 1e-6), key=lambda f: f.cost)
+
+
+def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record], far_rms: float) -> Fit:
     """A fit with its effect's ragged parameters searched, coarse, fine, and on while it pays; windows show no more than
-    the coarse.
+    the coarse, nor do whole runs that stay beyond ``far_rms``.
     """
     for parameter in effect.parameters:
         if not parameter.ragged:
@@ -140,7 +151,10 @@ def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
         if best.windows:
             best = _searched(best, key, records, (COARSE, FINE))
             continue
-        best = _searched(best, key, records, (COARSE, FINE, FINEST))
+        best = _searched(best, key, records, (COARSE,))
+        if best.rms > far_rms:
+            continue
+        best = _searched(best, key, records, (FINE, FINEST))
         for _ in range(SEARCHED_AGAIN):
             if best.cost > STILL_BETTER * was:
                 break
@@ -161,7 +175,7 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
         name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
         grown = [neutral + k * (found.model.number(name) - neutral) for k in CHOICE_SIZES]
         models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
-    costs = [_cost(found, m, records) for m in models]
+    costs = [_cost(found, m, records, lash=True) for m in models]
     if not models:
         return found
     return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
@@ -190,7 +204,7 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
         costs = [_cost(found, m, records) for m in models]
         near = [models[i] for i in np.argsort(costs)[:2]]
-        fits = [again(found, m, records, 12, 1e-5) for m in near]
+        fits = [again(found, m, records, 12, NEAR_ENOUGH if found.windows else 1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
     return _centred(found, key, records)
 

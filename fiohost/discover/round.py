@@ -13,7 +13,7 @@ import numpy as np
 from fiohost.discover.choose import CLOSE, Validated, objection, only_at_a_bound, only_in, validate
 from fiohost.discover.floor import replica_errors
 from fiohost.discover.moments import fit_event, moment_of
-from fiohost.discover.refit import fit_anew, full_fit, polish, rough_fit
+from fiohost.discover.refit import finished, fit_anew, full_fit, polish, rough_fit
 from fiohost.discover.screen import Score, Screen, candidates, chance_share
 from fiohost.discover.stage import LOST, UTTERLY_LOST, Stage
 from fiohost.discover.workers import each
@@ -118,11 +118,17 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
         if objection(f, s.effect.name) is None and _unconfirmed(context, stage, s, f) is None
     ]
     least = min(believed, default=np.inf)
-    found: list[Candidate] = []
-    for score, fitted in zip(scores, refits, strict=False):
+
+    def judged(score: Score, fitted: Fit) -> Candidate:
         share = 1.0 - fitted.cost / stage.fit.cost
         why = _objection(context, stage, score, fitted, share, chance, least, first)
-        found.append(Candidate(score.effect.name, share, why))
+        return Candidate(score.effect.name, share, why)
+
+    found = [judged(s, f) for s, f in zip(scores, refits, strict=False)]
+    if context.windows:
+        near = [i for i, c in enumerate(found) if c.rejected_because is None]
+        for i, fitted in zip(near, each(lambda i: finished(refits[i], context.records), near), strict=True):
+            refits[i], found[i] = fitted, judged(scores[i], fitted)
     passed = [i for i, c in enumerate(found) if c.rejected_because is None]
     context.say(f"cross-validating {len(passed)} of them")
     alike = [
@@ -193,7 +199,8 @@ def _refits(context: Context, stage: Stage, scores: Sequence[Score], first: bool
     sure = [f.cost for s, f in zip(worth, fits, strict=True) if _unconfirmed(context, stage, s, f) is None]
     far = HOPELESS if everyone else FAR
     near = [i for i, f in enumerate(fits) if f.cost <= far * min(sure, default=np.inf)]
-    full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records), near)
+    far_rms = UTTERLY_LOST * stage.floor_rms
+    full = each(lambda i: full_fit(fits[i], worth[i].effect, context.records, far_rms), near)
     for i, fitted in zip(near, full, strict=True):
         fits[i] = fitted
     return [*worth, *(s for s in scores if s not in worth)], fits

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, errors
+from fiohost.estimation.predict import Flat, errors, windowed
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
@@ -106,7 +107,9 @@ class Screen:
         flat = Flat.of(fit.model)
         self._blocks = [max(1, round(RESOLUTION_S / r.sample_time_s)) for r in records]
         self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
-        self._base = [errors(r, flat, s, fit.windows) for r, s in zip(records, fit.starts, strict=True)]
+        pairs = list(zip(records, fit.starts, strict=True))
+        self._base = [] if fit.windows else [errors(r, flat, s) for r, s in pairs]
+        self._tangents = [Tangent(r, flat, s, windowed(r, flat, s)[1]) for r, s in pairs] if fit.windows else []
         self._nuisances = [np.linalg.qr(n)[0] if n.shape[1] else n for n in self.coarse(fit.nuisances)]
         jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((sum(self.lengths), 0))
         norms = np.linalg.norm(jacobian, axis=0)
@@ -137,10 +140,9 @@ class Screen:
 
     def _change(self, effect: Effect, trial: Trial) -> list[np.ndarray]:
         flat = Flat.of(self.fit.model.with_effect(effect.name, trial))
-        return [
-            b - errors(r, flat, s, self.fit.windows)
-            for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)
-        ]
+        if self._tangents:
+            return [t.by(flat, s, 1.0) for t, s in zip(self._tangents, self.fit.starts, strict=True)]
+        return [b - errors(r, flat, s) for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)]
 
     def _cleaned(self, change: Sequence[np.ndarray]) -> np.ndarray:
         cleaned = self.clean(change)

@@ -30,6 +30,8 @@ from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
 
 MOST_EFFECTS = 4
+# Begun anew, no more than a pair is looked for: from two names that are nowhere near the data nothing leads on.
+MOST_ANEW = 2
 # While effects are chosen among, only each so many windows are looked at, and as many as this at least.
 MOST_EVERY, LEAST_WINDOWS = 3, 40
 # Something is missing from one-second windows where their power stands by this share above the floor.
@@ -193,6 +195,8 @@ def select(search: Search, begun: Found) -> Found:
     steps: list[Step] = list(begun.steps)
     offered: list[Candidate] = list(begun.offered)
     while not stage.follows and stage.fit.windows == windows and len(steps) < MOST_EFFECTS:
+        if search.context.anew and stage.utterly_lost and len(steps) >= MOST_ANEW:
+            break
         outcome = run_round(search.context, stage, first=not steps)
         offered, winner = outcome.candidates, outcome.winner
         if winner is None or winner.validated is None:

@@ -8,20 +8,23 @@ magnitude sharper, used to finish. Neither ever differentiates the counts.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.estimation.predict import Flat, errors
+from fiohost.estimation.predict import Flat, errors, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_zeros
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
 
 MAX_ITERATIONS = 40
 # A step that promises less than this share of what the tolerance asks for is not tried.
 PROMISED = 0.1
+# Windows are fitted along their tangent; to a tolerance below this one, with exact derivatives in the end.
+ALONG_TANGENT = 5e-5
 PLAY_ROUNDS = 2
 # The longest step of one iteration shrinks so with every attempt that does not pay, for a start by its reach.
 REACH_SHRINKS = 0.3
@@ -59,10 +62,13 @@ class Fit:
 
 @dataclass
 class _Point:
-    """Parameter values and initial states at which the simulation stands."""
+    """Parameter values and initial states at which the simulation stands; ``begins`` are the states in which each
+    record's windows begin there.
+    """
 
     p: np.ndarray
     starts: list[Start]
+    begins: list[np.ndarray] = field(default_factory=list)
 
 
 class _Problem:
@@ -84,14 +90,19 @@ class _Problem:
     def flat(self, p: np.ndarray) -> Flat:
         return self.base.at(p)
 
-    def residual(self, record: Record, start: Start, p: np.ndarray) -> np.ndarray:
-        return errors(record, self.flat(p), start, self.windows)
-
     def residuals(self, point: _Point) -> list[np.ndarray]:
-        return [self.residual(r, s, point.p) for r, s in zip(self.records, point.starts, strict=True)]
+        flat = self.flat(point.p)
+        pairs = zip(self.records, point.starts, strict=True)
+        if not self.windows:
+            return [errors(record, flat, start) for record, start in pairs]
+        found = [windowed(record, flat, start) for record, start in pairs]
+        point.begins = [begins for _, begins in found]
+        return [residual for residual, _ in found]
 
-    def columns(self, record: Record, start: Start, point: _Point, residual: np.ndarray) -> np.ndarray:
-        """Derivative (n, parameters) of the simulation, one finite difference each, turned inward at a bound."""
+    def columns(
+        self, record: Record, start: Start, point: _Point, residual: np.ndarray, tangent: Tangent | None
+    ) -> np.ndarray:
+        """Derivative (n, parameters) of what is simulated, one finite difference each, turned inward at a bound."""
         values = point.p[self.slots]
         out = np.empty((len(residual), len(self.slots)))
         for j, where in enumerate(self.slots):
@@ -100,18 +111,22 @@ class _Problem:
                 step = -step
             p = point.p.copy()
             p[where] += step
-            out[:, j] = (residual - self.residual(record, start, p)) / step
+            if tangent is not None:
+                out[:, j] = tangent.by(self.flat(p), start, step)
+            else:
+                out[:, j] = (residual - errors(record, self.flat(p), start, self.windows)) / step
         return out
 
-    def nuisances(self, record: Record, start: Start, p: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Derivatives (n, q) by what is free at a record's start; windows leave but its warmth and its own zero."""
-        return start_columns(record, self.flat(p), start, self.windows, residual)
-
-    def linearise(self, point: _Point, residuals: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Columns by parameter with the initial states projected out, and the columns of the initial states."""
-        each = list(zip(self.records, point.starts, residuals, strict=True))
-        jacobians = [self.columns(record, start, point, residual) for record, start, residual in each]
-        nuisances = [self.nuisances(record, start, point.p, residual) for record, start, residual in each]
+    def linearise(
+        self, point: _Point, residuals: list[np.ndarray], exactly: bool
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Columns by parameter, and by the initial states; those of windows along their tangent unless ``exactly``."""
+        flat = self.flat(point.p)
+        jacobians, nuisances = [], []
+        for i, (record, start, residual) in enumerate(zip(self.records, point.starts, residuals, strict=True)):
+            tangent = Tangent(record, flat, start, point.begins[i]) if self.windows and not exactly else None
+            jacobians.append(self.columns(record, start, point, residual, tangent))
+            nuisances.append(start_columns(record, flat, start, residual, self.windows, tangent))
         return jacobians, nuisances
 
 
@@ -135,12 +150,13 @@ def _solve(
     cost = _sum_of_squares(residuals)
     damping = 1e-4
     converged = False
+    exactly = not problem.windows
     jacobians = [np.zeros((len(r), len(problem.slots))) for r in residuals]
     nuisances = [np.empty((len(r), 0)) for r in residuals]
     if not np.isfinite(cost):
         max_iterations = 0
     for _ in range(max_iterations):
-        jacobians, nuisances = problem.linearise(point, residuals)
+        jacobians, nuisances = problem.linearise(point, residuals, exactly)
         gradient = np.zeros(len(problem.slots))
         hessian = np.zeros((len(problem.slots),) * 2)
         parts = []
@@ -194,14 +210,19 @@ def _solve(
                 break
             damping = max(damping, 1e-6) * 8.0
         if not improved:
-            converged = True
-            break
+            if exactly or tolerance > ALONG_TANGENT:
+                converged = True
+                break
+            exactly, damping = True, 1e-4
+            continue
         gain = cost - new_cost
         point, residuals, cost = trial, new_residuals, new_cost
         damping = max(damping * 0.15, 1e-9)
         if gain <= tolerance * cost or cost < 1e-18:
-            converged = True
-            break
+            if exactly or tolerance > ALONG_TANGENT:
+                converged = True
+                break
+            exactly = True
     # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
     return point, residuals, projected, nuisances, cost, converged
@@ -227,11 +248,12 @@ def fit(
     starts: Sequence[Start] | None = None,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-7,
+    lash: bool = True,
 ) -> Fit:
     """Fit the free parameters of a model to records, from the values it has.
 
-    ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with (else from the first second).
-    Raises DataError without records.
+    ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with (else from the first second);
+    without ``lash`` the motor stays where in its gap these have it. Raises DataError without records.
     """
     if not records:
         raise DataError("there is no log to fit")
@@ -239,7 +261,7 @@ def fit(
     given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts)
     point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
-    for _ in range(PLAY_ROUNDS if not windows else 0):
+    for _ in range(PLAY_ROUNDS if lash and not windows else 0):
         point = solved[0]
         play = taken_up_play(problem.flat(point.p), records, point.starts)
         if play == point.starts:
@@ -310,8 +332,13 @@ def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: boo
 
 
 def unchanged(
-    model: Model, records: Sequence[Record], *, starts: Sequence[Start] | None = None, windows: bool = False
+    model: Model,
+    records: Sequence[Record],
+    *,
+    starts: Sequence[Start] | None = None,
+    windows: bool = False,
+    lash: bool = True,
 ) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records, starts=starts, windows=windows)
+    return fit(frozen, records, starts=starts, windows=windows, lash=lash)

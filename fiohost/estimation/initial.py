@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import gcd
 
 import numpy as np
@@ -24,6 +25,8 @@ LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
 WITHIN_COUNTS = 1.5
 # Warmth is looked for at so many levels, then as near by windows and as close by whole runs as this.
 WARMTH_LOOKS, WARMTH_NEAR, WARMTH_CLOSE = 9, 0.02, 1e-4
+# Every so many windows are enough to come near.
+WARMTH_EVERY = 3
 # A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
 ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
 # Around the best of them, in degrees of the phase: how far, from near, how close, and the most looks there.
@@ -181,10 +184,6 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
     rugged.
     """
 
-    def in_windows(warmth: float) -> float:
-        error = errors(record, flat, start._replace(warmth=warmth), True, y)
-        return float(error @ error)
-
     def in_whole(warmth: float) -> float:
         error, weights = errors(record, flat, start._replace(warmth=warmth), False, y), record.weights
         if record.kind == ANGLE:
@@ -192,8 +191,24 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
         return float(error @ error)
 
     if near is None:
-        near = _least(in_windows, 0.0, 1.0, WARMTH_NEAR)
+        near = guessed_warmth(record, flat, start, y)
     return _least(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0), WARMTH_CLOSE)
+
+
+def guessed_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
+    """About how warm it was at the start, for a fit that goes on from there."""
+    return _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+
+
+def _in_windows(record: Record, flat: Flat, start: Start, y: np.ndarray) -> Callable[[float], float]:
+    """Squared error of one-second windows of output ``y`` (n) by warmth."""
+    record = replace(record, every=max(record.every, min(WARMTH_EVERY, len(record.windows) - 1)))
+
+    def cost(warmth: float) -> float:
+        error = errors(record, flat, start._replace(warmth=warmth), True, y)
+        return float(error @ error)
+
+    return cost
 
 
 def _least(cost: Callable[[float], float], low: float, high: float, xatol: float) -> float:

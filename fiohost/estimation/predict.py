@@ -14,15 +14,26 @@ from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
 from fiohost.motor.state import (
     BACKLASH,
+    BRISTLE_ON,
+    FAST_ON,
     GAIN,
     GAP,
+    HEATING_ON,
+    LAG_ON,
+    LOAD_OMEGA,
     LOAD_THETA,
+    OMEGA,
+    SPRING_ON,
     STATE_SIZE,
     STOP,
     STOP_ON,
     THETA,
+    WARMING_ON,
     WORK_SIZE,
 )
+
+# What keeps more in mind than angle and speed.
+REMEMBERING = [BACKLASH, BRISTLE_ON, FAST_ON, HEATING_ON, LAG_ON, SPRING_ON, WARMING_ON]
 
 # A shaft may stand so far beyond an end of travel, for want of a finer sensor.
 END_SLACK_COUNTS = 3.0
@@ -66,6 +77,11 @@ class Flat:
         """The same model with other values in its parameter array, for the bench's zero."""
         gap = bool(self.on[BACKLASH]) and float(p[GAP]) > 0.0
         return replace(self, p=p, seen=seen_angle(p, self.on), gap=gap, zero=0.0)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether angle and speed are not all of the model's state."""
+        return bool(self.on[REMEMBERING].any())
 
     def orders(self) -> list[int]:
         """How often a turn everything repeats that is bound to the angle."""
@@ -120,7 +136,7 @@ def free_output(record: Record, flat: Flat, start: Start, last: int | None = Non
     return read(record, flat, free_states(record, flat, start, last))
 
 
-def _speed_step(flat: Flat) -> float:
+def speed_step(flat: Flat) -> float:
     """A speed difference that is small beside full speed, whatever the unit of the axis."""
     return 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
 
@@ -148,7 +164,7 @@ def fitted_windows(
     work = np.empty((4, longest))
     fit_windows(
         ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, firsts, lasts, bases, free_speed,
-        flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, _speed_step(flat), residuals, shifts,
+        flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, speed_step(flat), residuals, shifts,
         omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), work[0], work[1], work[2], work[3],
     )  # fmt: skip
     return residuals, shifts, omegas
@@ -157,16 +173,38 @@ def fitted_windows(
 def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: np.ndarray | None = None) -> np.ndarray:
     """Measured, or ``y``, minus simulated (n) as a fit weighs it: of the whole run, or of one-second windows."""
     if windows:
-        flat = flat.from_zero(start.zero)
-        return window_residuals(record, flat, free_states(record, flat, start), y)
+        return windowed(record, flat, start, y)[0]
     return np.asarray(record.weights * ((record.y if y is None else y) - free_output(record, flat, start)))
+
+
+def windowed(record: Record, flat: Flat, start: Start, y: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """``in_windows`` of the free run from a start."""
+    flat = flat.from_zero(start.zero)
+    return in_windows(record, flat, free_states(record, flat, start), y)
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
     """Measured minus simulated (n) with angle and speed free in each one-second window, other states from
     ``states``, ``flat`` being for the record's zero.
     """
+    return in_windows(record, flat, states, y)[0]
+
+
+def in_windows(
+    record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """``window_residuals``, and the states (m, STATE_SIZE) in which the windows begin."""
     data = record.y if y is None else y
     windows = record.looked_at()
-    residuals, _, _ = fitted_windows(record, flat, data, windows, np.ascontiguousarray(states[windows[0]]), True)
-    return np.asarray(residuals)
+    bases = np.ascontiguousarray(states[windows[0]])
+    residuals, shifts, omegas = fitted_windows(record, flat, data, windows, bases, True)
+    return residuals, moved(bases, bases[:, THETA] + shifts, omegas)
+
+
+def moved(states: np.ndarray, thetas: np.ndarray, omegas: np.ndarray) -> np.ndarray:
+    """States (m, STATE_SIZE) with other angles and speeds of the motor, its load with it."""
+    found = states.copy()
+    found[:, LOAD_THETA] += thetas - states[:, THETA]
+    found[:, LOAD_OMEGA] += omegas - states[:, OMEGA]
+    found[:, THETA], found[:, OMEGA] = thetas, omegas
+    return found

@@ -9,6 +9,7 @@ import numpy as np
 from fiohost.estimation.initial import best_lash, find_zero, has_own_zero, initial_state
 from fiohost.estimation.predict import Flat, errors, free_output
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import GAIN
 
@@ -20,13 +21,18 @@ ZERO_STEP, ZERO_REACH = 0.1, 30.0
 WARMTH_STEP, WARMTH_REACH = 0.01, 0.3
 
 
-def start_columns(record: Record, flat: Flat, start: Start, windows: bool, residual: np.ndarray) -> np.ndarray:
+def start_columns(
+    record: Record, flat: Flat, start: Start, residual: np.ndarray, windows: bool, tangent: Tangent | None
+) -> np.ndarray:
     """Derivatives (n, 0..4) of what is simulated by the initial angle, speed, warmth and own zero, where these are
-    free: windows leave but the last two, and a warmth at a bound that the ``residual`` (n) pulls against stays there.
+    free: ``windows``, along their ``tangent`` if there is one, leave but the last two, and a warmth at a bound that
+    the ``residual`` (n) pulls against stays there.
     """
     columns: list[np.ndarray] = []
 
     def by(moved: Start, step: float) -> np.ndarray:
+        if tangent is not None:
+            return tangent.by(flat, moved, step)
         return np.asarray((residual - errors(record, flat, moved, windows)) / step)
 
     if record.kind == ANGLE and not windows:

@@ -57,6 +57,65 @@ def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
     state[OMEGA] = omega
 
 
+@inlined
+def _speed_and_angle(  # type: ignore[no-untyped-def]
+    times,
+    act_times,
+    duties,
+    modes,
+    clock,
+    y,
+    first,
+    last,
+    base,
+    shift,
+    omega,
+    free_speed,
+    bends,
+    kind,
+    seen,
+    substep,
+    p,
+    on,
+    speed_step,
+    state,
+    states,
+    y0,
+    y1,
+    by_speed,
+    by_angle,
+):
+    """Columns of a window by speed and angle around its output ``y0``: by difference, or exactly one by an angle on
+    which nothing depends.
+    """
+    for i in range(last - first):
+        by_angle[i] = 1.0 if kind == ANGLE else 0.0
+        by_speed[i] = 0.0
+    if free_speed:
+        _move(state, base, shift, omega + speed_step)
+        simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states)
+        window_output(times, states, first, last - first, kind, seen, p, on, y, y1)
+        for i in range(last - first):
+            by_speed[i] = (y1[i] - y0[i]) / speed_step
+    if kind == ANGLE and bends:
+        angle_step = speed_step * 0.01
+        _move(state, base, shift + angle_step, omega)
+        simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states)
+        window_output(times, states, first, last - first, kind, seen, p, on, y, y1)
+        for i in range(last - first):
+            by_angle[i] = (y1[i] - y0[i]) / angle_step
+
+
+@inlined
+def _least_squares(rs, ra, ss, sa, aa, damping):  # type: ignore[no-untyped-def]
+    """Speed and angle that take most of what is left, from products of columns and of what is left."""
+    s11, s22 = ss * (1.0 + damping) + 1e-30, aa * (1.0 + damping)
+    det = s11 * s22 - sa * sa
+    if det <= 1e-12 * s11 * s22:
+        return 0.0, ra / s22
+    return (s22 * rs - sa * ra) / det, (s11 * ra - sa * rs) / det
+
+
 @compiled
 def fit_windows(  # type: ignore[no-untyped-def]
     times,
@@ -118,27 +177,12 @@ def fit_windows(  # type: ignore[no-untyped-def]
         serving, moved = False, False
         for _ in range(16):
             if not serving:
-                # Columns: speed by difference; angle by difference or exactly one.
                 serving, moved = True, False
-                ss, sa, aa = 0.0, 0.0, 1.0
-                if free_speed:
-                    _move(state, base, shift if bends else 0.0, omega + speed_step)
-                    simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                    window_output(times, states, a, n, kind, seen, p, on, y, y1)
-                for i in range(n):
-                    by_angle[i] = 1.0 if kind == ANGLE else 0.0
-                    by_speed[i] = 0.0
-                    if free_speed:
-                        by_speed[i] = (y1[i] + (shift if kind == ANGLE and not bends else 0.0) - y0[i]) / speed_step
-                if kind == ANGLE and bends:
-                    angle_step = speed_step * 0.01
-                    _move(state, base, shift + angle_step, omega)
-                    simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-                    window_output(times, states, a, n, kind, seen, p, on, y, y1)
-                    for i in range(n):
-                        by_angle[i] = (y1[i] - y0[i]) / angle_step
-                if kind == ANGLE:
-                    aa = 0.0
+                _speed_and_angle(
+                    times, act_times, duties, modes, clock, y, a, b, base, shift, omega, free_speed, bends, kind, seen,
+                    substep, p, on, speed_step, state, states, y0, y1, by_speed, by_angle,
+                )  # fmt: skip
+                ss, sa, aa = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0
                 for i in range(n):
                     ss += by_speed[i] * by_speed[i]
                     sa += by_speed[i] * by_angle[i]
@@ -147,23 +191,15 @@ def fit_windows(  # type: ignore[no-untyped-def]
             for i in range(n):
                 rs += by_speed[i] * (y[a + i] - y0[i])
                 ra += by_angle[i] * (y[a + i] - y0[i])
-            s11, s22 = ss * (1.0 + damping) + 1e-30, aa * (1.0 + damping)
-            det = s11 * s22 - sa * sa
-            if det <= 1e-12 * s11 * s22:
-                step_speed, step_angle = 0.0, ra / s22
-            else:
-                step_speed = (s22 * rs - sa * ra) / det
-                step_angle = (s11 * ra - sa * rs) / det
+            step_speed, step_angle = _least_squares(rs, ra, ss, sa, aa, damping)
             expected = step_speed * rs + step_angle * ra
             if expected <= WORTH_MOVING * cost:
                 break
-            _move(state, base, shift + step_angle if bends else 0.0, omega + step_speed)
+            _move(state, base, shift + step_angle, omega + step_speed)
             simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
             window_output(times, states, a, n, kind, seen, p, on, y, y1)
             new = 0.0
             for i in range(n):
-                if kind == ANGLE and not bends:
-                    y1[i] += shift + step_angle
                 new += (y[a + i] - y1[i]) ** 2
             if new <= cost:
                 # Columns serve again while the step did what they promised.
@@ -182,3 +218,87 @@ def fit_windows(  # type: ignore[no-untyped-def]
         omegas[w] = omega
         for i in range(n):
             residuals[a + i] = y[a + i] - y0[i]
+
+
+@compiled
+def window_columns(  # type: ignore[no-untyped-def]
+    times,
+    act_times,
+    duties,
+    modes,
+    clock,
+    y,
+    firsts,
+    lasts,
+    begins,
+    bends,
+    kind,
+    seen,
+    substep,
+    p,
+    on,
+    speed_step,
+    outputs,
+    by_speed,
+    by_angle,
+    state,
+    states,
+    y1,
+):
+    """Windows that begin at ``begins`` (m, states): their ``outputs`` (n), and columns by speed and by angle (n)."""
+    for w in range(firsts.shape[0]):
+        a, b = firsts[w], lasts[w]
+        begin = begins[w]
+        _move(state, begin, 0.0, begin[OMEGA])
+        simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+        window_output(times, states, a, b - a, kind, seen, p, on, y, outputs[a:b])
+        _speed_and_angle(
+            times, act_times, duties, modes, clock, y, a, b, begin, 0.0, begin[OMEGA], True, bends, kind, seen,
+            substep, p, on, speed_step, state, states, outputs[a:b], y1, by_speed[a:b], by_angle[a:b],
+        )  # fmt: skip
+
+
+@compiled
+def window_change(  # type: ignore[no-untyped-def]
+    times,
+    act_times,
+    duties,
+    modes,
+    clock,
+    y,
+    firsts,
+    lasts,
+    begins,
+    kind,
+    seen,
+    substep,
+    p,
+    on,
+    outputs,
+    by_speed,
+    by_angle,
+    change,
+    state,
+    states,
+    y1,
+):
+    """How windows that begin at ``begins`` differ from ``outputs`` (n), less what speed and angle take of it:
+    ``change`` (n).
+    """
+    for w in range(firsts.shape[0]):
+        a, b = firsts[w], lasts[w]
+        begin = begins[w]
+        _move(state, begin, 0.0, begin[OMEGA])
+        simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
+        window_output(times, states, a, b - a, kind, seen, p, on, y, y1)
+        ss, sa, aa, rs, ra = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0, 0.0, 0.0
+        for i in range(a, b):
+            change[i] = y1[i - a] - outputs[i]
+            ss += by_speed[i] * by_speed[i]
+            sa += by_speed[i] * by_angle[i]
+            aa += by_angle[i] * by_angle[i]
+            rs += by_speed[i] * change[i]
+            ra += by_angle[i] * change[i]
+        speed, angle = _least_squares(rs, ra, ss, sa, aa, 0.0)
+        for i in range(a, b):
+            change[i] -= speed * by_speed[i] + angle * by_angle[i]
