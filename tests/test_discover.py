@@ -272,3 +272,18 @@ def test_a_start_that_soon_rests_is_found_within_its_count() -> None:
         high = np.min(record.y + record.quantum - free_run(truth, record.excitation, 0.0))
         errors.append(angle + 0.5 * record.quantum - 0.5 * (low + high))
     assert np.abs(errors).max() < 0.2 * 0.5
+
+
+def test_an_addition_that_is_not_kept_leaves_the_names_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What took the place of an earlier name beside it goes with it."""
+    from fiohost.discover import search
+
+    values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 20.0}
+    records = suite(truth_model(("coulomb_friction", *dict.fromkeys(k.partition(".")[0] for k in values)), values), 11)
+    library = ["constant_load", "quadratic_drag"]
+    first = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library)
+    assert len(first.steps) == 2
+    monkeypatch.setattr(search, "swapped", lambda context, fitted, steps, stage_of: (fitted, []))
+    monkeypatch.setattr(search, "_reproach", lambda before, after: "is of no use")
+    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library)
+    assert [s.effect for s in found.steps] == [first.steps[0].effect]

@@ -134,6 +134,21 @@ class Search:
         return fitted
 
 
+def _grown(
+    search: Search, fitted: Fit, steps: Sequence[Step], declared: Model
+) -> tuple[Stage, list[Step], dict[str, str]]:
+    """A fit with an effect added, after all that this may have moved: the earlier steps with what takes their place,
+    and which names were exchanged for which of their equivalents.
+    """
+    fitted, swaps = swapped(search.context, fitted, steps, search.stage)
+    grown = search.settled(fitted)
+    told: dict[str, str] = {}
+    if not grown.at_floor:
+        fitted, told = exchanged(search.context, fitted, declared)
+        grown = search.settled(fitted) if told else grown
+    return search.off_its_ledge(grown, True), swaps, told
+
+
 def _reproach(before: Stage, after: Stage) -> str | None:
     """What speaks against a further effect once it is fitted to the end, or None.
 
@@ -215,13 +230,7 @@ def select(search: Search, begun: Found) -> Found:
             unneeded = "is not missed by left-out records once the rest is fitted again"
             offered = [replace(c, rejected_because=unneeded) if c.effect == winner.effect else c for c in offered]
             break
-        pruned, steps = swapped(search.context, pruned, steps, search.stage)
-        grown = search.settled(pruned)
-        told: dict[str, str] = {}
-        if not grown.at_floor:
-            pruned, told = exchanged(search.context, pruned, model)
-            grown = search.settled(pruned) if told else grown
-        grown = search.off_its_ledge(grown, True)
+        grown, swaps, told = _grown(search, pruned, steps, model)
         why = _reproach(stage, grown) if steps else None
         if why:
             say(f"{winner.effect} {why}: not added")
@@ -232,7 +241,7 @@ def select(search: Search, begun: Found) -> Found:
         evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
         rivals = search.rivals(winner.effect, winner.validated, outcome)
         stage = grown
-        steps = [replace(s, effect=told[s.effect], indistinguishable_from=()) if s.effect in told else s for s in steps]
+        steps = [replace(s, effect=told[s.effect], indistinguishable_from=()) if s.effect in told else s for s in swaps]
         steps = [s for s in steps if s.effect in stage.fit.model.effects]
         name = told.get(winner.effect, winner.effect)
         named = named_with(name, rivals) if name == winner.effect else ()
