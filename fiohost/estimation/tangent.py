@@ -1,8 +1,8 @@
 """Derivatives of one-second windows whose angle and speed are free.
 
 Once these are found, a derivative by anything else is that of the output with both held, less what they could take of
-it: the Jacobian of variable projection without the projection's own change (Kaufman 1975). One run a derivative, where
-fitting every window anew takes four or five.
+it: the Jacobian of variable projection without the projection's own change (Kaufman 1975). That takes one run over the
+windows, where fitting all of them anew takes several.
 """
 
 from __future__ import annotations
