@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 
+from fiohost.discover import search, strategy
 from fiohost.discover.choose import folds
 from fiohost.discover.clock import in_sequence
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
 from fiohost.discover.refit import unstuck
-from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.discover.step import Found
+from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -134,16 +138,49 @@ def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
     assert found.verdict == "explained"
 
 
-def test_where_whole_runs_can_never_be_followed_the_commonest_is_named_and_the_others_with_it() -> None:
+def runs_that_repeat_no_speed() -> list[Record]:
+    """Five runs one way only, of a dry motor whose gain differs from run to run."""
     rng = np.random.default_rng(4)
     records = []
-    for k, duty_pct in enumerate((20.0, 35.0, 50.0, 65.0, 80.0)):  # one way only, and no run repeats another's speed
+    for k, duty_pct in enumerate((20.0, 35.0, 50.0, 65.0, 80.0)):
         gain = 10.6 * (1.0 + 0.005 * rng.standard_normal())
         truth = truth_model().with_values({"linear.gain_deg_s_per_pct": gain})
         records.append(measure(truth, np.full(2000, duty_pct), rng, name=f"run {k}"))
-    library = ["coulomb_friction", "bridge_voltage_drop", "constant_load", "input_deadband"]
-    found = diagnose_records(records, (), Model.parse("linear"), library=library)
+    return records
+
+
+ONE_WAY = ["coulomb_friction", "bridge_voltage_drop", "constant_load", "input_deadband"]
+
+
+def test_where_whole_runs_can_never_be_followed_the_commonest_is_named_and_the_others_with_it() -> None:
+    found = diagnose_records(runs_that_repeat_no_speed(), (), Model.parse("linear"), library=ONE_WAY)
     assert found.verdict == "unexplained"
     (step,) = found.steps
     assert step.effect == "coulomb_friction"
     assert {"constant_load", "input_deadband", "bridge_voltage_drop"} <= {*step.indistinguishable_from}
+
+
+def test_a_name_that_explains_less_than_half_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def poorly(begun: search.Search, found: Found) -> Found:
+        monkeypatch.setattr(search, "_explained_share", lambda before, after: 0.49)
+        return search.only_commonest(begun, found)
+
+    monkeypatch.setattr(strategy, "only_commonest", poorly)
+    found = diagnose_records(runs_that_repeat_no_speed(), (), Model.parse("linear"), library=ONE_WAY)
+    assert found.verdict == "unexplained"
+    assert found.steps == ()
+    assert any("less than half" in (c.rejected_because or "") for c in found.candidates)
+
+
+def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[tuple[str, ...]] = []
+
+    def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
+        begun.append(found.model.effects)
+        return found
+
+    monkeypatch.setattr(search, "unstuck", recorded)
+    values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 1.0}
+    truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
+    diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
+    assert ("coulomb_friction", "constant_load") in begun
