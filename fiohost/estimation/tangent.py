@@ -7,6 +7,8 @@ windows, where fitting all of them anew takes several.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from fiohost.estimation.predict import Flat, free_states, moved, speed_step, turned_deg
@@ -21,19 +23,24 @@ class Tangent:
 
     def __init__(self, record: Record, flat: Flat, start: Start, begins: np.ndarray) -> None:
         self.record = record
-        flat = flat.from_zero(start.zero)
-        self.turned = turned_deg(record, flat)
+        self.flat = flat.from_zero(start.zero)
+        self.turned = turned_deg(record, self.flat)
         self.begins = begins
         self.firsts, self.lasts = record.looked_at()
         self.longest = int(np.max(self.lasts - self.firsts))
-        self.outputs, self.by_speed, self.by_angle = np.zeros((3, len(record)))
-        ex = record.excitation
+
+    @cached_property
+    def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The windows' outputs (n), and their derivatives (n) by speed and by angle."""
+        outputs, by_speed, by_angle = np.zeros((3, len(self.record)))
+        ex, flat = self.record.excitation, self.flat
         window_columns(
-            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, record.y, self.firsts, self.lasts,
-            self._in_its_turn(begins), flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on,
-            speed_step(flat), self.outputs, self.by_speed, self.by_angle, np.zeros(WORK_SIZE),
-            np.empty((self.longest, STATE_SIZE)), np.empty(self.longest),
+            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, self.record.y, self.firsts, self.lasts,
+            self._in_its_turn(self.begins), flat.bends, self.record.kind, flat.seen, flat.substep_s, flat.p, flat.on,
+            speed_step(flat), outputs, by_speed, by_angle, np.zeros(WORK_SIZE), np.empty((self.longest, STATE_SIZE)),
+            np.empty(self.longest),
         )  # fmt: skip
+        return outputs, by_speed, by_angle
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
@@ -46,10 +53,11 @@ class Tangent:
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
         change = np.zeros(len(self.record))
         ex = self.record.excitation
+        outputs, by_speed, by_angle = self._around
         window_change(
             ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, self.record.y, self.firsts, self.lasts,
-            self._in_its_turn(begins), self.record.kind, flat.seen, flat.substep_s, flat.p, flat.on, self.outputs,
-            self.by_speed, self.by_angle, change, np.zeros(WORK_SIZE), np.empty((self.longest, STATE_SIZE)),
+            self._in_its_turn(begins), self.record.kind, flat.seen, flat.substep_s, flat.p, flat.on, outputs,
+            by_speed, by_angle, change, np.zeros(WORK_SIZE), np.empty((self.longest, STATE_SIZE)),
             np.empty(self.longest),
         )  # fmt: skip
         return change / step
