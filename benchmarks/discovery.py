@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from discovery_cases import EFFECTS
 from discovery_rates import BOUNDS, page, summary, table
 from discovery_run import Row, Task, run_task, same
-from rows import read
+from rows import commit, read
 
 # Cases of the smoke run: fixed by their seed, drawn once and not picked.
 SMOKE, SMOKE_SEED = {"clear": 1, "faint": 0, "none": 24, "pair": 3, "outside": 2}, 20240601
@@ -52,7 +52,7 @@ def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iter
     """Rows as they are done, until all are or time is up; told in a line each, on a terminal under a bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    over = time.monotonic() + 60.0 * minutes
+    over, program = time.monotonic() + 60.0 * minutes, commit()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, disable=not sys.stdout.isatty()) as bar, ProcessPoolExecutor(jobs) as pool:
         shown = bar.add_task("discovery", total=len(tasks))
@@ -66,7 +66,7 @@ def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iter
             finished = next(as_completed(waiting))
             task = waiting.pop(finished)
             try:
-                row = finished.result()
+                row = {**finished.result(), "program": program}
             except Exception as exc:
                 row = {"key": task.key, "kind": task.kind, "truth": list(task.names), "error": repr(exc)}
             bar.update(shown, advance=1)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from discovery_run import Row, same
+from rows import filled, programs
 
 Test = Callable[[Row], bool]
 LOOSER = {"presliding_friction"}
@@ -237,10 +238,10 @@ def table(rows: Sequence[Row]) -> str:
 
 def page(rows: Sequence[Row]) -> str:
     """docs/discovery.md from its template."""
-    template = Path(__file__).with_name("discovery.template.md").read_text(encoding="utf-8")
     drawn: list[dict[str, Any]] = [r for r in rows if r.get("drawn")]
     counts = ", ".join(
         f"{sum(r['kind'] == k for r in drawn)} {k}" for k in ("clear", "faint", "none", "pair", "outside")
     )
     seeds = ", ".join(str(r["plan"]) for r in rows if "plan" in r)
-    return template.replace("{{table}}", table(rows)).replace("{{counts}}", counts).replace("{{seeds}}", seeds)
+    template = Path(__file__).with_name("discovery.template.md")
+    return filled(template, table=table(rows), counts=counts, seeds=seeds, programs=programs(rows))

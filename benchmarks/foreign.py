@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from foreign_simulator import DRAWS, KINDS, TICK_S, parameters, simulate
-from rows import Row, arguments, in_parallel, read
+from rows import Row, arguments, filled, in_parallel, programs, read
 
 SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
 DECLARED = "linear+coulomb_friction"
@@ -136,7 +136,7 @@ def main() -> None:
     text = f"{counted(rows)}\n\n{table(rows)}"
     print(f"\n{text}")
     if options.page:
-        options.page.write_text(TEMPLATE.read_text().replace("{{table}}", text))
+        options.page.write_text(filled(TEMPLATE, table=text, programs=programs(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":

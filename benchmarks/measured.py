@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import os
 import string
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ import measured_emps
 import measured_gearmotor
 import measured_nxt
 import measured_tables
+from rows import commit
 
 TEMPLATES = [Path(__file__).with_name(f"{name}.template.md") for name in ("measured", "measured_tables")]
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "measured.md"
@@ -35,12 +35,6 @@ SECTIONS = {
     "tables": ("../nxt_textbook", measured_tables.section),
 }
 WORDS = "words"
-
-
-def commit() -> str:
-    """The commit of the program that runs here."""
-    asked = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=PAGE.parent, capture_output=True, text=True)
-    return asked.stdout.strip() or "unknown"
 
 
 def kept_sections() -> dict[str, dict[str, str]]:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from discovery_cases import EFFECTS, make_case
 from discovery_rates import classes, wilson
 from discovery_run import CLEAR, DECLARED, clarity, same
-from rows import Row, arguments, in_parallel, read
+from rows import Row, arguments, filled, in_parallel, programs, read
 
 SQUARE = "square_170_190"
 OTHERS = ("multisine", "multisine_fast", "pulses", "ramp_full", "random_steps", "reversals", "sine_slow", "sines_small",
@@ -131,8 +131,8 @@ def main() -> None:
         print(row["experiment"], *row["truth"], row.get("verdict", "not drawn"), row.get("named", ""), flush=True)
     print(f"\n{table(rows)}\n\n{mistakes(rows)}")
     if options.page:
-        text = TEMPLATE.read_text(encoding="utf-8")
-        options.page.write_text(text.replace("{{table}}", table(rows)).replace("{{mistakes}}", mistakes(rows)))
+        text = filled(TEMPLATE, table=table(rows), mistakes=mistakes(rows), programs=programs(rows))
+        options.page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import secrets
+import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -13,6 +15,28 @@ from typing import Any, TypeVar
 
 Row = dict[str, Any]
 Task = TypeVar("Task")
+
+
+def commit() -> str:
+    """The commit of the program that runs here."""
+    asked = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True
+    )
+    return asked.stdout.strip() or "unknown"
+
+
+def programs(rows: Sequence[Row]) -> str:
+    """Which commits made the rows, in words: most of them first."""
+    made = Counter(str(row["program"]) for row in rows if "program" in row)
+    return ", ".join(f"{count} by {name}" for name, count in made.most_common())
+
+
+def filled(template: Path, **told: str) -> str:
+    """A page from its template, every ``{{key}}`` in it replaced."""
+    text = template.read_text(encoding="utf-8")
+    for key, words in told.items():
+        text = text.replace(f"{{{{{key}}}}}", words)
+    return text
 
 
 def arguments(told: str, cases: int, of: str) -> argparse.ArgumentParser:
@@ -47,10 +71,11 @@ def read(path: Path | None, *keys: str) -> list[Row]:
 
 
 def in_parallel(run: Callable[[Task], Row], tasks: Sequence[Task], jobs: int, out: Path | None) -> Iterator[Row]:
-    """The row of each task as it is done, written to ``out`` at once."""
+    """The row of each task as it is done, with the commit that made it, written to ``out`` at once."""
+    program = commit()
     with ProcessPoolExecutor(jobs) as pool:
         for finished in as_completed([pool.submit(run, task) for task in tasks]):
-            row = finished.result()
+            row = {**finished.result(), "program": program}
             if out:
                 with out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row, default=str) + "\n")
