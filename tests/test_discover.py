@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import TRUTH, measure, multisine, steps, suite, truth_model
+from bench_data import QUANTUM_DEG, TRUTH, measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.choose import folds, slices
 from fiohost.discover.diagnose import diagnose_records
@@ -287,3 +287,21 @@ def test_an_addition_that_is_not_kept_leaves_the_names_before_it(monkeypatch: py
     monkeypatch.setattr(search, "_reproach", lambda before, after: "is of no use")
     found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library)
     assert [s.effect for s in found.steps] == [first.steps[0].effect]
+
+
+def test_what_one_record_shows_is_believed_where_it_is_nearly_all_that_is_missing() -> None:
+    """An end of travel met in one record only, beside friction that changes around the turn and leaves something."""
+    values = {"hard_stop.angle_deg": 900.0, "position_dependent_friction.ratio": 0.4}
+    there = truth_model(("coulomb_friction", "hard_stop", "position_dependent_friction"), values)
+    rng = np.random.default_rng(8)
+    away = [
+        measure(there, duty(12.0, rng), rng, name=f"away {i}") for i, duty in enumerate((multisine, steps, multisine))
+    ]
+    assert max(float(r.y.max()) for r in away) < 890.0
+    met = measure(there, np.concatenate((np.full(800, 40.0), np.full(800, -30.0), steps(4.0, rng))), rng, name="met")
+    assert float(met.y.max()) == pytest.approx(900.0, abs=1.0)
+    assert judge(met, there).errors.window_rms < QUANTUM_DEG / 3.0  # no window begins beyond the end
+    library = ["hard_stop", "position_dependent_friction", "constant_load", "supply_sag"]
+    found = diagnose_records([*away, met], (), Model.parse("linear+coulomb_friction"), library=library)
+    assert {s.effect for s in found.steps} == {"hard_stop", "position_dependent_friction"}
+    assert found.verdict == "explained"

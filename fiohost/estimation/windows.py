@@ -9,7 +9,7 @@ from __future__ import annotations
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.hooks import measure
 from fiohost.motor.kernel import simulate
-from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
+from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, STOP, STOP_ON, THETA
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 
@@ -47,10 +47,14 @@ def window_output(times, states, first, count, kind, seen, p, on, measured, y): 
 
 
 @inlined
-def _move(state, base, shift, omega):  # type: ignore[no-untyped-def]
-    """A copy of ``base`` turned by ``shift`` and running at ``omega``, load and gap with it."""
+def _move(state, base, shift, omega, p, on):  # type: ignore[no-untyped-def]
+    """A copy of ``base`` turned by ``shift``, to an end of travel at most, and running at ``omega``, load and gap with
+    it.
+    """
     for i in range(base.shape[0]):
         state[i] = base[i]
+    if on[STOP_ON] and (base[THETA] + shift - p[STOP]) * p[STOP] > 0.0:
+        shift = p[STOP] - base[THETA]
     state[THETA] += shift
     state[LOAD_THETA] += shift
     state[LOAD_OMEGA] += omega - base[OMEGA]
@@ -92,14 +96,14 @@ def _speed_and_angle(  # type: ignore[no-untyped-def]
         by_angle[i] = 1.0 if kind == ANGLE else 0.0
         by_speed[i] = 0.0
     if free_speed:
-        _move(state, base, shift, omega + speed_step)
+        _move(state, base, shift, omega + speed_step, p, on)
         simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states)
         window_output(times, states, first, last - first, kind, seen, p, on, y, y1)
         for i in range(last - first):
             by_speed[i] = (y1[i] - y0[i]) / speed_step
     if kind == ANGLE and bends:
         angle_step = speed_step * 0.01
-        _move(state, base, shift + angle_step, omega)
+        _move(state, base, shift + angle_step, omega, p, on)
         simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states)
         window_output(times, states, first, last - first, kind, seen, p, on, y, y1)
         for i in range(last - first):
@@ -156,14 +160,14 @@ def fit_windows(  # type: ignore[no-untyped-def]
         n = b - a
         base = bases[w]
         shift, omega = 0.0, base[OMEGA]
-        _move(state, base, shift, omega)
+        _move(state, base, shift, omega, p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
         window_output(times, states, a, n, kind, seen, p, on, y, y0)
         if kind == ANGLE:
             for i in range(n):
                 shift += (y[a + i] - y0[i]) / n
             if bends:
-                _move(state, base, shift, omega)
+                _move(state, base, shift, omega, p, on)
                 simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
                 window_output(times, states, a, n, kind, seen, p, on, y, y0)
             else:
@@ -195,7 +199,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
             expected = step_speed * rs + step_angle * ra
             if expected <= WORTH_MOVING * cost:
                 break
-            _move(state, base, shift + step_angle, omega + step_speed)
+            _move(state, base, shift + step_angle, omega + step_speed, p, on)
             simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
             window_output(times, states, a, n, kind, seen, p, on, y, y1)
             new = 0.0
@@ -249,7 +253,7 @@ def window_columns(  # type: ignore[no-untyped-def]
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
         begin = begins[w]
-        _move(state, begin, 0.0, begin[OMEGA])
+        _move(state, begin, 0.0, begin[OMEGA], p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
         window_output(times, states, a, b - a, kind, seen, p, on, y, outputs[a:b])
         _speed_and_angle(
@@ -288,7 +292,7 @@ def window_change(  # type: ignore[no-untyped-def]
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
         begin = begins[w]
-        _move(state, begin, 0.0, begin[OMEGA])
+        _move(state, begin, 0.0, begin[OMEGA], p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
         window_output(times, states, a, b - a, kind, seen, p, on, y, y1)
         ss, sa, aa, rs, ra = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0, 0.0, 0.0
