@@ -289,8 +289,8 @@ def test_an_addition_that_is_not_kept_leaves_the_names_before_it(monkeypatch: py
     assert [s.effect for s in found.steps] == [first.steps[0].effect]
 
 
-def test_what_one_record_shows_is_believed_where_it_is_nearly_all_that_is_missing() -> None:
-    """An end of travel met in one record only, beside friction that changes around the turn and leaves something."""
+def test_an_end_of_travel_is_believed_though_one_record_only_met_it() -> None:
+    """Readings show it by themselves, beside friction that changes around the turn and leaves something."""
     values = {"hard_stop.angle_deg": 900.0, "position_dependent_friction.ratio": 0.4}
     there = truth_model(("coulomb_friction", "hard_stop", "position_dependent_friction"), values)
     rng = np.random.default_rng(8)

@@ -35,8 +35,6 @@ REFITTED_ANEW = 16
 AS_GOOD_LEFT_OUT, AS_GOOD_FITTED = 1.1, 1.03
 LEAST_CV_GAIN = 0.01
 FINISHED = 1.1
-# What only one experiment shows is believed all the same where it is nearly all that is missing and nothing else helps.
-NEARLY_ALL = 0.9
 # A further effect must account for this share of what still stands above the floor: small remains have many takers.
 LEAST_OF_REST = 0.3
 
@@ -146,10 +144,6 @@ def run_round(context: Context, stage: Stage, first: bool) -> Outcome:
         Candidate(s.effect.name, s.share, f"scores {100 * s.share:.1f} % of the residual's power, below those refitted")
         for s in scores[len(refits) :]
     ]
-    if first and all(c.validated is None for c in found):
-        for i, fitted in enumerate(refits):
-            if found[i].score >= NEARLY_ALL and _told_by_one(context, stage, scores[i], fitted):
-                found[i] = checked(replace(found[i], rejected_because=None), context.validate(fitted), base)
     able = [c for c in found if c.validated is not None]
     if not able:
         return Outcome(found)
@@ -240,12 +234,7 @@ def _unconfirmed(context: Context, stage: Stage, score: Score, fitted: Fit) -> s
     if score.effect.once:
         why = f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
         return why if left > FINISHED else None
-    return _told_by_one(context, stage, score, fitted)
-
-
-def _told_by_one(context: Context, stage: Stage, score: Score, fitted: Fit) -> str | None:
-    """That only one experiment shows an effect, which leaves something there, or None."""
-    group = None if score.effect.once else only_in(fitted, score.effect.name, context.groups)
+    group = None if score.effect.shown else only_in(fitted, score.effect.name, context.groups)
     if group is None or (left := stage.left_of(fitted, group)) <= FINISHED:
         return None
     return f"only {context.records[group[0]].name} shows it, and {left:.2f} times the floor is left there"

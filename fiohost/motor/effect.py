@@ -104,10 +104,10 @@ class Effect:
     ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
     data cannot tell apart; all their names are reported whatever it is. ``linear_pairs`` says that consecutive trials
     are a sine and a cosine of one effect. ``once`` marks an event that can be had only once, so that left-out records
-    cannot confirm it: it is believed only where it leaves nothing; ``warms`` what hangs on how warm the bench began,
-    ``clocked`` what hangs on the bench's own time, from one log to the next.
-    ``trials_for`` makes trials that depend on what the data cover. ``substep_s`` is the longest step over which the
-    effect may be frozen.
+    cannot confirm it: it is believed only where it leaves nothing; ``shown`` what readings show by themselves wherever
+    it is tried, so that one record is enough; ``warms`` what hangs on how warm the bench began, ``clocked`` what hangs
+    on the bench's own time, from one log to the next. ``trials_for`` makes trials that depend on what the data cover.
+    ``substep_s`` is the longest step over which the effect may be frozen.
     """
 
     name: str
@@ -127,6 +127,7 @@ class Effect:
     trials_for: Callable[[Span], tuple[Mapping[str, Value], ...]] | None = field(default=None, repr=False)
     linear_pairs: bool = False
     once: bool = False
+    shown: bool = False
     warms: bool = False
     clocked: bool = False
     command: Callable[..., float] | None = field(default=None, repr=False)

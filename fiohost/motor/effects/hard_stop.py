@@ -18,6 +18,7 @@ EFFECTS = (
         acts_on="structure",
         commonness=6,
         angle_bound=True,
+        shown=True,
         signature="speed falls to zero at one angle, whatever the drive",
         parameters=(Parameter("angle_deg", "deg", 720.0, -1e6, 1e6, neutral=None, step=0.05),),
         trials_for=trials_for,
