@@ -12,10 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from fiohost.estimation.predict import Flat, free_states, moved, speed_step, turned_deg
-from fiohost.estimation.record import Record
-from fiohost.estimation.windows import window_change, window_columns
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import LOAD_THETA, OMEGA, STATE_SIZE, THETA, WORK_SIZE
+
+# Of a speed's column that is so nearly an angle's (share of its square), nothing is taken apart from that.
+ALIKE = 1e-12
 
 
 class Tangent:
@@ -24,23 +27,11 @@ class Tangent:
     def __init__(self, record: Record, flat: Flat, start: Start, begins: np.ndarray) -> None:
         self.record = record
         self.flat = flat.from_zero(start.zero)
-        self.turned = turned_deg(record, self.flat)
         self.begins = begins
         self.firsts, self.lasts = record.looked_at()
-        self.longest = int(np.max(self.lasts - self.firsts))
-
-    @cached_property
-    def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The windows' outputs (n), and their derivatives (n) by speed and by angle."""
-        outputs, by_speed, by_angle = np.zeros((3, len(self.record)))
-        ex, flat = self.record.excitation, self.flat
-        window_columns(
-            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, self.record.y, self.firsts, self.lasts,
-            self._in_its_turn(self.begins), flat.bends, self.record.kind, flat.seen, flat.substep_s, flat.p, flat.on,
-            speed_step(flat), outputs, by_speed, by_angle, np.zeros(WORK_SIZE), np.empty((self.longest, STATE_SIZE)),
-            np.empty(self.longest),
-        )  # fmt: skip
-        return outputs, by_speed, by_angle
+        self.window = np.full(len(record), len(self.firsts))  # of each sample; the last is that of none
+        for i, (a, b) in enumerate(zip(self.firsts, self.lasts, strict=True)):
+            self.window[a:b] = i
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
@@ -51,21 +42,49 @@ class Tangent:
         if flat.remembers:
             states = free_states(self.record, flat, start)[self.firsts]
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
-        change = np.zeros(len(self.record))
-        ex = self.record.excitation
-        outputs, by_speed, by_angle = self._around
-        window_change(
-            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, self.record.y, self.firsts, self.lasts,
-            self._in_its_turn(begins), self.record.kind, flat.seen, flat.substep_s, flat.p, flat.on, outputs,
-            by_speed, by_angle, change, np.zeros(WORK_SIZE), np.empty((self.longest, STATE_SIZE)),
-            np.empty(self.longest),
-        )  # fmt: skip
-        return change / step
+        outputs, by_angle, by_speed = self._around
+        change = (self._outputs(flat, begins) - outputs) / step
+        return np.asarray(change - self._along(change, by_angle) - self._along(change, by_speed))
 
-    def _in_its_turn(self, states: np.ndarray) -> np.ndarray:
-        """States in the turn that an end of travel is written for."""
-        if self.turned == 0.0:
-            return states
-        found = states.copy()
-        found[:, [THETA, LOAD_THETA]] += self.turned
-        return found
+    @cached_property
+    def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The windows' outputs (n), and directions (n), square to each other, in which angle and speed move them."""
+        flat, begins = self.flat, self.begins
+        outputs, step = self._outputs(flat, begins), speed_step(flat)
+        thetas, omegas = begins[:, THETA], begins[:, OMEGA]
+        by_speed = (self._outputs(flat, moved(begins, thetas, omegas + step)) - outputs) / step
+        by_angle = np.full(len(outputs), 1.0 if self.record.kind == ANGLE else 0.0)
+        if self.record.kind == ANGLE and flat.bends:
+            by_angle = (self._outputs(flat, moved(begins, thetas + 0.01 * step, omegas)) - outputs) / (0.01 * step)
+        least = ALIKE * self._products(by_speed, by_speed)
+        by_angle = self._unit(by_angle, 0.0)
+        return outputs, by_angle, self._unit(by_speed - self._along(by_speed, by_angle), least)
+
+    def _outputs(self, flat: Flat, begins: np.ndarray) -> np.ndarray:
+        """Outputs (n) of windows that begin so, zero between them."""
+        record, ex = self.record, self.record.excitation
+        turned = turned_deg(record, self.flat)
+        if turned != 0.0:
+            begins = begins.copy()
+            begins[:, [THETA, LOAD_THETA]] += turned
+        outputs = np.zeros(len(record))
+        states = np.empty((int(np.max(self.lasts - self.firsts)), STATE_SIZE))
+        window_outputs(
+            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, record.y, self.firsts, self.lasts, begins,
+            record.kind, flat.seen, flat.substep_s, flat.p, flat.on, np.zeros(WORK_SIZE), states, outputs,
+        )  # fmt: skip
+        return outputs
+
+    def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Sums of products (m + 1) over each window's samples, the last over those of none."""
+        return np.bincount(self.window, weights=a * b, minlength=len(self.firsts) + 1)
+
+    def _along(self, series: np.ndarray, unit: np.ndarray) -> np.ndarray:
+        """The part (n) of a series along a direction of unit length in each window."""
+        return np.asarray(unit * self._products(series, unit)[self.window])
+
+    def _unit(self, series: np.ndarray, least: np.ndarray | float) -> np.ndarray:
+        """A series of unit length in each window, zero where its square is no more than ``least``."""
+        squares = self._products(series, series)
+        there = squares > least
+        return np.asarray(series * np.where(there, 1.0 / np.sqrt(np.where(there, squares, 1.0)), 0.0)[self.window])

@@ -225,84 +225,13 @@ def fit_windows(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def window_columns(  # type: ignore[no-untyped-def]
-    times,
-    act_times,
-    duties,
-    modes,
-    clock,
-    y,
-    firsts,
-    lasts,
-    begins,
-    bends,
-    kind,
-    seen,
-    substep,
-    p,
-    on,
-    speed_step,
-    outputs,
-    by_speed,
-    by_angle,
-    state,
-    states,
-    y1,
+def window_outputs(  # type: ignore[no-untyped-def]
+    times, act_times, duties, modes, clock, y, firsts, lasts, begins, kind, seen, substep, p, on, state, states, outputs
 ):
-    """Windows that begin at ``begins`` (m, states): their ``outputs`` (n), and columns by speed and by angle (n)."""
+    """The ``outputs`` (n) of windows that begin at ``begins`` (m, states); between them they are left as they are."""
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
         begin = begins[w]
         _move(state, begin, 0.0, begin[OMEGA], p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
         window_output(times, states, a, b - a, kind, seen, p, on, y, outputs[a:b])
-        _speed_and_angle(
-            times, act_times, duties, modes, clock, y, a, b, begin, 0.0, begin[OMEGA], True, bends, kind, seen,
-            substep, p, on, speed_step, state, states, outputs[a:b], y1, by_speed[a:b], by_angle[a:b],
-        )  # fmt: skip
-
-
-@compiled
-def window_change(  # type: ignore[no-untyped-def]
-    times,
-    act_times,
-    duties,
-    modes,
-    clock,
-    y,
-    firsts,
-    lasts,
-    begins,
-    kind,
-    seen,
-    substep,
-    p,
-    on,
-    outputs,
-    by_speed,
-    by_angle,
-    change,
-    state,
-    states,
-    y1,
-):
-    """How windows that begin at ``begins`` differ from ``outputs`` (n), less what speed and angle take of it:
-    ``change`` (n).
-    """
-    for w in range(firsts.shape[0]):
-        a, b = firsts[w], lasts[w]
-        begin = begins[w]
-        _move(state, begin, 0.0, begin[OMEGA], p, on)
-        simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-        window_output(times, states, a, b - a, kind, seen, p, on, y, y1)
-        ss, sa, aa, rs, ra = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0, 0.0, 0.0
-        for i in range(a, b):
-            change[i] = y1[i - a] - outputs[i]
-            ss += by_speed[i] * by_speed[i]
-            sa += by_speed[i] * by_angle[i]
-            aa += by_angle[i] * by_angle[i]
-            rs += by_speed[i] * change[i]
-            ra += by_angle[i] * change[i]
-        speed, angle = _least_squares(rs, ra, ss, sa, aa, 0.0)
-        for i in range(a, b):
-            change[i] -= speed * by_speed[i] + angle * by_angle[i]
