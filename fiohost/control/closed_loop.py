@@ -111,7 +111,7 @@ def _run(times, act_times, refs, loop, clock, state, substep, p, on, seen, dutie
     integral, slope, before = 0.0, 0.0, 0.0
     n = times.shape[0]
     for k in range(n):
-        angle = measure(state[seen], p, on)
+        angle = measure(state[seen], (), p, on)
         if count > 0.0:
             angle = floor(angle / count) * count
         error = refs[k] - angle

@@ -14,26 +14,20 @@ from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start, run, seen_angle, start_state
 from fiohost.motor.state import (
     BACKLASH,
-    BRISTLE_ON,
-    FAST_ON,
     GAIN,
     GAP,
-    HEATING_ON,
-    LAG_ON,
     LOAD_OMEGA,
     LOAD_THETA,
     OMEGA,
-    SPRING_ON,
     STATE_SIZE,
     STOP,
     STOP_ON,
     THETA,
-    WARMING_ON,
     WORK_SIZE,
 )
 
 # What keeps more in mind than angle and speed.
-REMEMBERING = [BACKLASH, BRISTLE_ON, FAST_ON, HEATING_ON, LAG_ON, SPRING_ON, WARMING_ON]
+REMEMBERING = [i for i, item in enumerate(effects().values()) if item.remembers]
 
 # A shaft may stand so far beyond an end of travel, for want of a finer sensor.
 END_SLACK_COUNTS = 3.0

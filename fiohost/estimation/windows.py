@@ -7,9 +7,9 @@ angle). Gauss-Newton with one finite difference for the speed, and one for the a
 from __future__ import annotations
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.motor.hooks import measure
+from fiohost.motor.hooks import jumped, measure
 from fiohost.motor.kernel import simulate
-from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, STOP, STOP_ON, THETA
+from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 
@@ -25,7 +25,7 @@ def output(times, states, first, count, kind, seen, p, on, y):  # type: ignore[n
     rate = OMEGA if seen == THETA else LOAD_OMEGA
     for i in range(count):
         if kind == ANGLE:
-            y[i] = measure(states[i, seen], p, on)
+            y[i] = measure(states[i, seen], (), p, on)
         elif kind == SPEED or i == 0:
             y[i] = states[i, rate]
         else:
@@ -53,8 +53,9 @@ def _move(state, base, shift, omega, p, on):  # type: ignore[no-untyped-def]
     """
     for i in range(base.shape[0]):
         state[i] = base[i]
-    if on[STOP_ON] and (base[THETA] + shift - p[STOP]) * p[STOP] > 0.0:
-        shift = p[STOP] - base[THETA]
+    end, _ = jumped(base[THETA] + shift, omega, p, on)
+    if end != base[THETA] + shift:
+        shift = end - base[THETA]
     state[THETA] += shift
     state[LOAD_THETA] += shift
     state[LOAD_OMEGA] += omega - base[OMEGA]

@@ -184,7 +184,7 @@ def play_model(
     seen, past = seen_angle(p, on), np.empty((2, STATE_SIZE))
     refs, angles, speeds, currents = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for k in range(n):
-        angle = float(measure(state[seen], p, on))
+        angle = float(measure(state[seen], (), p, on))
         angles[k], speeds[k] = angle, np.radians(state[OMEGA])
         if way.quantum_deg:
             angle = float(np.floor(angle / way.quantum_deg + 0.5) * way.quantum_deg)

@@ -54,6 +54,17 @@ def compiled(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = before
 
 
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a part of an entry kernel that is called, not repeated wherever it is used."""
+    return numba.njit(error_model="numpy", _nrt=False)(function)
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
     return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+
+
+@inlined
+def sign(value):  # type: ignore[no-untyped-def]
+    """-1, 0 or 1."""
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)

@@ -1,22 +1,49 @@
 """What an effect is, and the library of them: every module in ``fiohost.motor.effects`` adds its own.
 
-An effect says where it acts by giving hooks, plain functions of numbers which the kernel compiles:
+An effect says where it acts by giving hooks, plain functions of numbers which the kernel compiles. Those of one kind
+are chained in the order of their effects' ``stage``; the first argument is what came so far.
 
-``command(duty_pct, q)``
-    the duty that really acts, a static map; effects apply in the order of their ``stage``.
-``torque(theta_deg, omega_deg_s, time_s, duty_pct, q)``
-    torque added to the drive, in percent of duty; a load returns a negative value where it opposes forward motion.
-``current(i_pct, duty_pct, emf_pct, time_s, winding, q)``
-    the current in percent of stall, of what came so far (at first duty minus back-emf); ``winding`` is its warmth.
-``friction(level_pct, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q)``
-    sliding friction of what came so far, in percent; direction is +1 or -1, ``bearing`` how warm it has run.
+On the drive, in percent of full duty or of the current that it drives through a cold winding at rest:
+
+``command(duty_pct, period_s, q)``
+    the duty that really acts, a static map; ``period_s`` is that of the PWM.
+``voltage(volts_pct, duty_pct, time_s, q)``
+    the voltage while a pulse is on, as a share of the supply times the duty.
+``resistance(ohms, duty_pct, z, q)``
+    resistance of the circuit, in those of the cold winding.
+``drop(lost_pct, q)``, ``ceiling(most_pct, q)``, ``lag(q)``
+    voltage lost against the current, greatest current, and L/R in seconds. All three act on the instant current.
+
+On the shaft, torques in percent of duty, the sign that of the motion which they help:
+
+``torque(theta_deg, omega_deg_s, time_s, q)``, ``load(theta_deg, omega_deg_s, time_s, q)``
+    torque added on the motor's side, and beyond a gap or spring.
+``friction(level_pct, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q)``
+    sliding friction on the motor's side; ``drive_pct`` is the current, ``direction`` +1 or -1.
 ``breakaway(q)``
-    static friction above sliding friction, in percent.
+    static friction above sliding friction.
+``bristle(z, q)``
+    the share of sliding friction, -1 to 1, that acts in the place of its direction; there is then no stick.
+``inertia(ratio, time_s, q)``
+    inertia as a multiple of the whole one.
+``coupling(q)``
+    what joins a second inertia: its share of the whole, half the gap in degrees, the stiffness as a resonance in rad/s
+    (0: rigid) and its damping ratio.
+``event(theta_deg, omega_deg_s, q)``, ``jump(theta_deg, omega_deg_s, q)``
+    how far the load is from an event (below 0: beyond it), and angle and speed just after it.
+``bars(theta_deg, direction, q)``
+    whether the load at rest cannot go that way.
+
+In time, and at the sensor:
+
+``rate(z, omega_deg_s, current_pct, q)``
+    of the effect's own state ``z``: the pair ``(source, decay)`` of ``dz/dt = source - decay z``, carried exactly.
+``moment(q)``, ``delay(q)``
+    a moment on the bench's clock at which the plant changes, and dead time, in seconds.
 ``measure(theta_deg, q)``
     the angle that the encoder shows.
 
-``q`` is the array of the effect's own parameters in their declared order. Effects that change the structure or the
-timing (``linear``, ``transport_delay``, ``backlash``, ...) have no hook: the kernel knows them by name.
+``q`` is the array of the effect's own parameters in their declared order.
 """
 
 from __future__ import annotations
@@ -32,6 +59,9 @@ from fiohost.errors import ModelError
 from fiohost.settings import nearest
 
 Value = float | str
+Hook = Callable[..., float]
+Hook2 = Callable[..., tuple[float, float]]
+Hook4 = Callable[..., tuple[float, float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -107,7 +137,8 @@ class Effect:
     cannot confirm it: it is believed only where it leaves nothing; ``shown`` what readings show by themselves wherever
     it is tried, so that one record is enough; ``warms`` what hangs on how warm the bench began, ``clocked`` what hangs
     on the bench's own time, from one log to the next. ``trials_for`` makes trials that depend on what the data cover.
-    ``substep_s`` is the longest step over which the effect may be frozen.
+    ``substep_s`` is the longest step over which the effect may be frozen; ``opens`` says that the bridge is open, not
+    shorted, between pulses.
     """
 
     name: str
@@ -130,12 +161,32 @@ class Effect:
     shown: bool = False
     warms: bool = False
     clocked: bool = False
-    command: Callable[..., float] | None = field(default=None, repr=False)
-    current: Callable[..., float] | None = field(default=None, repr=False)
-    torque: Callable[..., float] | None = field(default=None, repr=False)
-    friction: Callable[..., float] | None = field(default=None, repr=False)
-    breakaway: Callable[..., float] | None = field(default=None, repr=False)
-    measure: Callable[..., float] | None = field(default=None, repr=False)
+    opens: bool = False
+    command: Hook | None = field(default=None, repr=False)
+    voltage: Hook | None = field(default=None, repr=False)
+    resistance: Hook | None = field(default=None, repr=False)
+    drop: Hook | None = field(default=None, repr=False)
+    ceiling: Hook | None = field(default=None, repr=False)
+    lag: Hook | None = field(default=None, repr=False)
+    torque: Hook | None = field(default=None, repr=False)
+    load: Hook | None = field(default=None, repr=False)
+    friction: Hook | None = field(default=None, repr=False)
+    breakaway: Hook | None = field(default=None, repr=False)
+    bristle: Hook | None = field(default=None, repr=False)
+    inertia: Hook | None = field(default=None, repr=False)
+    coupling: Hook4 | None = field(default=None, repr=False)
+    event: Hook | None = field(default=None, repr=False)
+    jump: Hook2 | None = field(default=None, repr=False)
+    bars: Callable[..., bool] | None = field(default=None, repr=False)
+    rate: Hook2 | None = field(default=None, repr=False)
+    moment: Hook | None = field(default=None, repr=False)
+    delay: Hook | None = field(default=None, repr=False)
+    measure: Hook | None = field(default=None, repr=False)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it adds to the motor's state beside angle and speed."""
+        return any(hook is not None for hook in (self.rate, self.coupling, self.lag))
 
     def parameter(self, name: str) -> Parameter:
         for parameter in self.parameters:

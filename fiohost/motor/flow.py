@@ -1,158 +1,208 @@
-"""Closed forms between events, and what the torques are at one moment. Parts of the kernel.
+"""The linear flow of each regime: speeds, current and twist after a time, under torques and voltages held constant.
 
-With ``ws = K f`` the speed that a constant net torque ``f`` would reach, ``omega(t) = ws + (omega0 - ws) exp(-t/tau)``.
-Without back-emf (standby) the speed grows in a straight line.
+With ``J = tau/K`` the inertia in percent of duty per deg/s2, ``d`` the voltage and ``f`` the other torques in percent:
+
+    one body       J omega' = i + f,                i = d - omega/K, or lag i' = d - omega/K - ohms i
+    spring closed  Jm omega' = i + f - T,  Jl v' = g + T,  twist' = omega - v,  T = k twist + c (omega - v)
+
+One body has a closed form with one or two poles. Two bodies on a spring are four states ``x' = A x + b``; their
+``exp(A t)`` and its two integrals are summed as series over a short time and doubled (scaling and squaring; Moler and
+Van Loan 2003). What was computed for the last span of a kind is kept beside the state, as most steps are equally long.
 """
 
 from __future__ import annotations
 
-from math import exp, expm1, log1p
+from math import cos, exp, expm1, log1p, sin, sqrt
 
-from fiohost.motor.compiled import inlined
-from fiohost.motor.effects.fast_decay import PERIOD_S, fall_time
-from fiohost.motor.hooks import breakaway, current, friction, torque
-from fiohost.motor.state import (
-    BEARING,
-    BREAKAWAY,
-    BRISTLE,
-    CHANGE_ON,
-    CHANGE_RATIO,
-    CHANGE_TIME,
-    CHANGE_WHICH,
-    DRIVE,
-    FAST_LAG,
-    FAST_ON,
-    GAIN,
-    HEATING,
-    HEATING_ON,
-    RISE,
-    STANDBY,
-    TAU,
-    WARMING,
-    WARMING_BY,
-    WARMING_ON,
-    WINDING,
-)
+from fiohost.motor.compiled import inlined, part
+from fiohost.motor.state import ONE_BODY, SCRATCH
 
 SAME_TIME_S = 1e-12
+N = 4
+SHORT = 0.5  # of the norm of A t, for which the series is summed
+TERMS = 14
 
 
 @inlined
-def decay(state, slot, dt, tau):  # type: ignore[no-untyped-def]
-    """expm1(-dt / tau), remembered in a slot; times on a grid differ in their last digits, which is no difference."""
-    if abs(dt - state[slot]) > SAME_TIME_S or tau != state[slot + 1]:
-        state[slot], state[slot + 1], state[slot + 2] = dt, tau, expm1(-dt / tau)
-    return state[slot + 2]
+def _swing(dt, tau, lag, ohms):  # type: ignore[no-untyped-def]
+    """exp(a dt) cosh(b dt) and exp(a dt) sinh(b dt) / b for the poles a +- b of current and speed."""
+    a = -0.5 * ohms / lag
+    square = a * a - 1.0 / (tau * lag)
+    if square > 1e-6 * a * a:
+        b = sqrt(square)
+        fast, slow = exp((a - b) * dt), exp((a + b) * dt)
+        return 0.5 * (slow + fast), 0.5 * (slow - fast) / b
+    fallen = exp(a * dt)
+    if square < -1e-6 * a * a:
+        b = sqrt(-square)
+        return fallen * cos(b * dt), fallen * sin(b * dt) / b
+    return fallen, fallen * dt
 
 
 @inlined
-def flow_by(omega, net, emf, gain, tau, dt, fallen):  # type: ignore[no-untyped-def]
-    """Angle turned and speed after dt under a constant net torque, with ``fallen = expm1(-dt / tau)``; ``emf`` says
-    that the back-emf is not in the torque.
+def one_body(omega, amps, volts, force, gain, tau, lag, ohms, emf, dt, x, at):  # type: ignore[no-untyped-def]
+    """Angle turned, speed and current after dt of a body of time constant ``tau``; without ``emf`` no current answers
+    the speed, and without ``lag`` the current is what ``volts`` and speed leave.
     """
-    if emf:
-        steady = gain * net
-        change = (omega - steady) * fallen
-        return steady * dt - tau * change, omega + change
-    rate = gain * net / tau
-    return (omega + 0.5 * rate * dt) * dt, omega + rate * dt
+    if not emf:
+        rate = gain * (volts + force) / tau
+        return (omega + 0.5 * rate * dt) * dt, omega + rate * dt, volts
+    if lag == 0.0:
+        if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or x[at + 2] != 0.0:
+            x[at], x[at + 1], x[at + 2], x[at + 3] = dt, tau, 0.0, expm1(-dt / tau)
+        steady = gain * (volts + force)
+        change = (omega - steady) * x[at + 3]
+        return steady * dt - tau * change, omega + change, volts - (omega + change) / gain
+    if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or lag / ohms != x[at + 2]:
+        x[at], x[at + 1], x[at + 2] = dt, tau, lag / ohms
+        x[at + 3], x[at + 4] = _swing(dt, tau, lag, ohms)
+    c, s = x[at + 3], x[at + 4]
+    steady = gain * (volts + ohms * force)
+    w, v = (omega - steady) / gain, amps + force
+    half = 0.5 * ohms / lag
+    w1 = (c + half * s) * w + s / tau * v
+    v1 = (c - half * s) * v - s / lag * w
+    return steady * dt - gain * (lag * (v1 - v) + ohms * tau * (w1 - w)), steady + gain * w1, v1 - force
 
 
 @inlined
-def flow(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
-    """``flow_by`` for a span that is no usual one."""
-    return flow_by(omega, net, emf, gain, tau, dt, expm1(-dt / tau) if emf else 0.0)
-
-
-@inlined
-def time_to_rest(omega, net, emf, gain, tau, dt):  # type: ignore[no-untyped-def]
-    """When the speed reaches zero under a constant net torque, given that it does within dt."""
-    at = -tau * log1p(-omega / (omega - gain * net)) if emf else -omega * tau / (gain * net)
+def time_to_rest(omega, volts, force, gain, tau, emf, dt):  # type: ignore[no-untyped-def]
+    """When a body whose current has no lag comes to rest, given that it does within dt."""
+    net = gain * (volts + force)
+    at = -tau * log1p(-omega / (omega - net)) if emf else -omega * tau / net
     return min(max(at, 0.0), dt)
 
 
 @inlined
-def plant(time, p, on):  # type: ignore[no-untyped-def]
-    """Gain, lag and a factor on friction at this time: they may change once during a run."""
-    gain, tau, grip = p[GAIN], p[TAU], 1.0
-    if on[CHANGE_ON] and time >= p[CHANGE_TIME]:
-        if p[CHANGE_WHICH] == 0.0:
-            tau *= p[CHANGE_RATIO]
-        elif p[CHANGE_WHICH] == 1.0:
-            grip = p[CHANGE_RATIO]
-        elif p[CHANGE_WHICH] == 2.0:
-            gain *= p[CHANGE_RATIO]
-    return gain, tau, grip
+def _times(x, a, b, to):  # type: ignore[no-untyped-def]
+    """The product of two matrices."""
+    for i in range(N):
+        for j in range(N):
+            total = 0.0
+            for k in range(N):
+                total += x[a + N * i + k] * x[b + N * k + j]
+            x[to + N * i + j] = total
 
 
-@inlined
-def settled_current(omega, time, duty, mode, gain, state, p, on):  # type: ignore[no-untyped-def]
-    """The current in percent of stall once its own lag is over: duty minus back-emf, as the electrics let it
-    through.
+@part
+def _propagate(x, matrix, at, dt):  # type: ignore[no-untyped-def]
+    """``exp(A dt)``, its integral and the integral of that, from ``at`` on, for A at ``matrix``."""
+    size, total = 0.0, 0.0
+    for i in range(N):
+        row = 0.0
+        for j in range(N):
+            row += abs(x[matrix + N * i + j])
+        size = max(size, row)
+    doublings, h = 0, dt
+    while size * h > SHORT:
+        h *= 0.5
+        doublings += 1
+    square = N * N
+    term, spare = matrix + square, matrix + 2 * square
+    for i in range(square):
+        unit = 1.0 if i % (N + 1) == 0 else 0.0
+        x[term + i] = unit
+        x[at + i], x[at + square + i], x[at + 2 * square + i] = unit, unit * h, unit * 0.5 * h * h
+    for k in range(1, TERMS):
+        _times(x, matrix, term, spare)
+        for i in range(square):
+            total = x[spare + i] * h / k
+            x[term + i] = total
+            x[at + i] += total
+            x[at + square + i] += total * h / (k + 1)
+            x[at + 2 * square + i] += total * h * h / ((k + 1) * (k + 2))
+    for _ in range(doublings):
+        _times(x, at, at + 2 * square, term)
+        _times(x, at, at + square, spare)
+        for i in range(square):
+            x[at + 2 * square + i] += x[term + i] + h * x[at + square + i]
+            x[at + square + i] += x[spare + i]
+        _times(x, at, at, term)
+        for i in range(square):
+            x[at + i] = x[term + i]
+        h *= 2.0
+
+
+@part
+def two_bodies(  # type: ignore[no-untyped-def]
+    omega, amps, twist, load_omega, volts, force, load, stiff, damp, gain, own, other, lag, ohms, kind, dt, x, at
+):
+    """Angle turned by the motor, speed, current, twist and load speed after dt of two bodies on a spring.
+
+    ``own`` and ``other`` are their inertias. ``kind`` is a sum: 1 the motor is held, 2 the load is held, 4 the current
+    answers the speed.
     """
-    if mode == STANDBY or (mode == DRIVE and duty == 0.0 and on[FAST_ON]):
-        return 0.0  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
-    emf = omega / gain
-    return current(duty - emf, duty, emf, time, state[WINDING], p, on)
+    at += ONE_BODY
+    held, load_held, emf = kind & 1, kind & 2, kind & 4
+    keys = at + 3 * N * N
+    if (
+        abs(dt - x[keys]) > SAME_TIME_S
+        or x[keys + 1] != kind + 1.0
+        or x[keys + 2] != own
+        or x[keys + 3] != lag
+        or x[keys + 4] != ohms
+    ):
+        x[keys], x[keys + 1], x[keys + 2], x[keys + 3], x[keys + 4] = dt, kind + 1.0, own, lag, ohms
+        a = SCRATCH
+        for i in range(N * N):
+            x[a + i] = 0.0
+        if not held:
+            x[a], x[a + 2], x[a + 3] = -damp / own, -stiff / own, damp / own
+            if emf and lag > 0.0:
+                x[a + 1] = 1.0 / own
+            elif emf:
+                x[a] -= 1.0 / (gain * own)
+        if emf and lag > 0.0:
+            x[a + 4], x[a + 5] = -1.0 / (gain * lag), -ohms / lag
+        x[a + 8], x[a + 11] = 1.0, -1.0
+        if not load_held:
+            x[a + 12], x[a + 14], x[a + 15] = damp / other, stiff / other, -damp / other
+        _propagate(x, a, at, dt)
+    lagged = emf and lag > 0.0
+    b0 = 0.0 if held else (force if lagged else force + volts) / own
+    b1 = volts / lag if lagged else 0.0
+    b3 = 0.0 if load_held else load / other
+    ends = SCRATCH + 3 * N * N
+    for i in range(N):
+        row, integral = at + N * i, at + N * N + N * i
+        x[ends + i] = (
+            x[row] * omega + x[row + 1] * amps + x[row + 2] * twist + x[row + 3] * load_omega
+            + x[integral] * b0 + x[integral + 1] * b1 + x[integral + 3] * b3
+        )  # fmt: skip
+    turn, twice = at + N * N, at + 2 * N * N
+    turned = (
+        x[turn] * omega + x[turn + 1] * amps + x[turn + 2] * twist + x[turn + 3] * load_omega
+        + x[twice] * b0 + x[twice + 1] * b1 + x[twice + 3] * b3
+    )  # fmt: skip
+    flowing = x[ends + 1] if lagged else volts - (x[ends] / gain if emf else 0.0)
+    return turned, x[ends], flowing, x[ends + 2], x[ends + 3]
 
 
-@inlined
-def ceases(omega, duty, gain, p):  # type: ignore[no-untyped-def]
-    """Whether the current of a bridge open between the pulses ceases within each of them (discontinuous conduction)."""
-    on = min(abs(duty) * 0.01, 1.0)
-    e = min(max(omega / gain * 0.01 * (1.0 if duty > 0.0 else -1.0), -0.99), 0.99)
-    return on + fall_time(on, e, p[FAST_LAG] / PERIOD_S) < 1.0
-
-
-@inlined
-def grip_level(theta, omega, time, drive, direction, state, grip, p, on):  # type: ignore[no-untyped-def]
-    """Sliding friction in percent, never negative."""
-    return grip * max(friction(0.0, theta, omega, time, drive, direction, state[BEARING], p, on), 0.0)
-
-
-@inlined
-def hold_level(theta, time, drive, direction, state, grip, p, on):  # type: ignore[no-untyped-def]
-    """Friction of a shaft at rest, in percent."""
-    return grip_level(theta, 0.0, time, drive, direction, state, grip, p, on) + breakaway(p, on)
-
-
-@inlined
-def resistance(theta, omega, time, duty, drive, direction, bristle, grip, state, p, on):  # type: ignore[no-untyped-def]
-    """Loads and friction in percent, negative where they oppose forward motion; ``drive`` is the current's torque."""
-    total = torque(theta, omega, time, duty, p, on)
-    level = grip_level(theta, omega, time, drive, direction, state, grip, p, on)
-    if bristle:
-        return total - level * state[BRISTLE] / p[BREAKAWAY]
-    return total - level * direction
-
-
-@inlined
-def net_torque(theta, omega, time, duty, direction, mode, bristle, gain, grip, state, p, on):  # type: ignore[no-untyped-def]
-    """Drive, loads and friction in percent, without the linear back-emf."""
-    drive = settled_current(omega, time, duty, mode, gain, state, p, on)
-    total = drive + omega / gain if mode != STANDBY else 0.0
-    return total + resistance(theta, omega, time, duty, drive, direction, bristle, grip, state, p, on)
-
-
-@inlined
-def deflect(state, turn, p):  # type: ignore[no-untyped-def]
-    """Carry the deflection before sliding over a turn of the shaft (Dahl 1968)."""
-    if turn != 0.0:
-        end = p[BREAKAWAY] if turn > 0.0 else -p[BREAKAWAY]
-        state[BRISTLE] = end + (state[BRISTLE] - end) * exp(-abs(turn) / p[BREAKAWAY])
-
-
-@inlined
-def relax(state, omega, drive, dt, p, on):  # type: ignore[no-untyped-def]
-    """Carry the warmth of winding and bearings over a step at about ``omega`` under a ``drive`` in percent."""
-    if on[HEATING_ON]:
-        # The losses are those of the hot winding; its resistance is taken to follow within the step.
-        cold_loss = (drive / 100.0) ** 2
-        falls = 1.0 - p[RISE] * cold_loss
-        if abs(falls) * dt < 1e-9 * p[HEATING]:
-            state[WINDING] += cold_loss * dt / p[HEATING]
-        else:
-            state[WINDING] = cold_loss / falls + (state[WINDING] - cold_loss / falls) * exp(-falls * dt / p[HEATING])
-    if on[WARMING_ON]:
-        warming = 1.0 if omega != 0.0 or p[WARMING_BY] == 1.0 else 0.0
-        state[BEARING] = warming + (state[BEARING] - warming) * exp(-dt / p[WARMING])
+@part
+def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-def]
+    """Angle turned by the motor and speed, current, twist and load speed after ``h`` in a regime."""
+    omega, amps, twist, load_omega = motion
+    volts, force, beyond = forces
+    gain, mass, own, other, stiff, damp, half_gap = bodies
+    joined, sprung, stuck, stuck_load, emf, lag, ohms, contact = regime
+    if sprung:
+        held = (1 if stuck else 0) + (2 if stuck_load else 0) + (4 if emf else 0)
+        offset = stiff * contact * half_gap
+        return two_bodies(
+            omega, amps, twist, load_omega, volts, force + offset, beyond - offset, stiff, damp, gain, own, other,
+            lag, ohms, held, h, x, at,
+        )  # fmt: skip
+    if stuck:
+        turn, after, flowing = 0.0, 0.0, volts
+        if lag > 0.0:
+            flowing = volts / ohms + (amps - volts / ohms) * exp(-h * ohms / lag)
+    elif joined:
+        turn, after, flowing = one_body(omega, amps, volts, force + beyond, gain, gain * mass, lag, ohms, emf, h, x, at)
+    else:
+        turn, after, flowing = one_body(omega, amps, volts, force, gain, gain * own, lag, ohms, emf, h, x, at)
+    if joined:
+        return turn, after, flowing, twist, after
+    if stuck_load:
+        return turn, after, flowing, twist + turn, 0.0
+    rate = beyond / other
+    return turn, after, flowing, twist + turn - (load_omega + 0.5 * rate * h) * h, load_omega + rate * h

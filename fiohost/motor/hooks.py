@@ -1,99 +1,259 @@
 """The effects' hooks joined into one function for each place where effects act.
 
-Each link is a closure over the one before it, so the compiler sees straight code with one test an effect.
+Each link is a closure over the one before it, so the compiler sees straight code with one test an effect. Where a hook
+reads its effect's own state, ``shift`` says where in the kernel's array it is: as it was at the beginning of a step, or
+as predicted for its middle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import exp, inf, nan
 from typing import Any
 
 from fiohost.motor.compiled import inlined
-from fiohost.motor.effect import effects, layout
+from fiohost.motor.effect import Effect, effects, layout
 
 EFFECT_INDEX = {name: i for i, name in enumerate(effects())}
 N_PARAMETERS = sum(len(e.parameters) for e in effects().values())
+PERIOD = N_PARAMETERS  # behind the effects' parameters: the period of the PWM in s
 N_EFFECTS = len(EFFECT_INDEX)
+FIXED_STATES = 7  # those of the kernel; the effects' own follow
+OWN = {e.name: FIXED_STATES + i for i, e in enumerate(e for e in effects().values() if e.rate is not None)}
 
 
-def _chain(kind: str, start: Callable[..., Any], link: Callable[..., Any]) -> Any:
-    total = inlined(start)
-    having = [e for e in effects().values() if getattr(e, kind) is not None]
-    for item in sorted(having, key=lambda e: (e.stage, e.name)):
-        first = layout()[item.name]
-        total = link(total, inlined(getattr(item, kind)), EFFECT_INDEX[item.name], first, first + len(item.parameters))
+def having(*kinds: str) -> list[Effect]:
+    """The effects with a hook of one of these kinds, in the order in which they act."""
+    found = [e for e in effects().values() if any(getattr(e, kind) for kind in kinds)]
+    return sorted(found, key=lambda e: (e.stage, e.name))
+
+
+def _places(item: Effect) -> tuple[int, int, int]:
+    first = layout()[item.name]
+    return EFFECT_INDEX[item.name], first, first + len(item.parameters)
+
+
+def _folded(kind: str) -> Any:
+    """Hooks that get what came so far and return their own version of it."""
+
+    @inlined
+    def total(value, args, p, on):  # type: ignore[no-untyped-def]
+        return value
+
+    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(value, args, p, on):  # type: ignore[no-untyped-def]
+            value = before(value, args, p, on)
+            if on[index]:
+                value = hook(value, *args, p[first:last])
+            return value
+
+        return chained
+
+    for item in having(kind):
+        total = link(total, inlined(getattr(item, kind)), *_places(item))
     return total
 
 
-def _command_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _with_state(kind: str) -> Any:
+    """As ``_folded``, for hooks that know their effect's own state."""
+
     @inlined
-    def command(duty_pct, p, on):  # type: ignore[no-untyped-def]
-        duty_pct = before(duty_pct, p, on)
-        if on[index]:
-            duty_pct = hook(duty_pct, p[first:last])
-        return duty_pct
+    def total(value, args, x, shift, p, on):  # type: ignore[no-untyped-def]
+        return value
 
-    return command
+    def link(before: Any, hook: Any, slot: int, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(value, args, x, shift, p, on):  # type: ignore[no-untyped-def]
+            value = before(value, args, x, shift, p, on)
+            if on[index]:
+                own = x[slot + shift] if slot else 0.0
+                value = hook(value, *args, own, p[first:last])
+            return value
+
+        return chained
+
+    for item in having(kind):
+        total = link(total, inlined(getattr(item, kind)), OWN.get(item.name, 0), *_places(item))
+    return total
 
 
-def _torque_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _joined(kind: str, start: float, join: Callable[[float, float], float]) -> Any:
+    """Hooks whose values are joined, by a sum or the like."""
+    join = inlined(join)
+
     @inlined
-    def torque(theta, omega, time, duty, p, on):  # type: ignore[no-untyped-def]
-        total = before(theta, omega, time, duty, p, on)
-        if on[index]:
-            total += hook(theta, omega, time, duty, p[first:last])
-        return total
+    def total(args, p, on):  # type: ignore[no-untyped-def]
+        return start
 
-    return torque
+    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(args, p, on):  # type: ignore[no-untyped-def]
+            value = before(args, p, on)
+            if on[index]:
+                value = join(value, hook(*args, p[first:last]))
+            return value
+
+        return chained
+
+    for item in having(kind):
+        total = link(total, inlined(getattr(item, kind)), *_places(item))
+    return total
 
 
-def _current_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _coupled() -> Any:
     @inlined
-    def current(i, duty, emf, time, winding, p, on):  # type: ignore[no-untyped-def]
-        i = before(i, duty, emf, time, winding, p, on)
-        if on[index]:
-            i = hook(i, duty, emf, time, winding, p[first:last])
-        return i
+    def total(p, on):  # type: ignore[no-untyped-def]
+        return 0.0, 0.0, 0.0, 0.0
 
-    return current
+    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(p, on):  # type: ignore[no-untyped-def]
+            share, half, stiff, damp = before(p, on)
+            if on[index]:
+                r, h, pulse, ratio = hook(p[first:last])
+                both = r * (1.0 - r)
+                share, half = max(share, r), max(half, h)
+                stiff, damp = stiff + both * pulse * pulse, damp + 2.0 * both * ratio * pulse
+            return share, half, stiff, damp
+
+        return chained
+
+    for item in having("coupling"):
+        total = link(total, inlined(item.coupling), *_places(item))  # type: ignore[arg-type]
+    return total
 
 
-def _friction_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _jumped() -> Any:
+    """Angle and speed of the load beyond the events in which it stands."""
+
     @inlined
-    def friction(level, theta, omega, time, drive, direction, bearing, p, on):  # type: ignore[no-untyped-def]
-        level = before(level, theta, omega, time, drive, direction, bearing, p, on)
-        if on[index]:
-            level = hook(level, theta, omega, time, drive, direction, bearing, p[first:last])
-        return level
+    def total(theta, omega, p, on):  # type: ignore[no-untyped-def]
+        return theta, omega
 
-    return friction
+    def link(before: Any, event: Any, jump: Any, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(theta, omega, p, on):  # type: ignore[no-untyped-def]
+            theta, omega = before(theta, omega, p, on)
+            if on[index] and event(theta, omega, p[first:last]) < 0.0:
+                theta, omega = jump(theta, omega, p[first:last])
+            return theta, omega
+
+        return chained
+
+    for item in having("jump"):
+        total = link(total, inlined(item.event), inlined(item.jump), *_places(item))  # type: ignore[arg-type]
+    return total
 
 
-def _breakaway_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _carried() -> Any:
+    """The effects' own states over a step, written ``to`` so many places further on."""
+
     @inlined
-    def breakaway(p, on):  # type: ignore[no-untyped-def]
-        total = before(p, on)
-        if on[index]:
-            total += hook(p[first:last])
-        return total
+    def total(x, to, omega, amps, dt, p, on):  # type: ignore[no-untyped-def]
+        return None
 
-    return breakaway
+    def link(before: Any, hook: Any, slot: int, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(x, to, omega, amps, dt, p, on):  # type: ignore[no-untyped-def]
+            before(x, to, omega, amps, dt, p, on)
+            if on[index]:
+                source, decay = hook(x[slot], omega, amps, p[first:last])
+                if abs(decay) * dt < 1e-9:
+                    x[slot + to] = x[slot] + (source - decay * x[slot]) * dt
+                else:
+                    x[slot + to] = source / decay + (x[slot] - source / decay) * exp(-decay * dt)
+
+        return chained
+
+    for item in having("rate"):
+        total = link(total, inlined(item.rate), OWN[item.name], *_places(item))  # type: ignore[arg-type]
+    return total
 
 
-def _measure_link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+def _any(*kinds: str) -> Any:
+    """Whether an effect with a hook of one of these kinds is in the model."""
+
     @inlined
-    def measure(theta, p, on):  # type: ignore[no-untyped-def]
-        theta = before(theta, p, on)
-        if on[index]:
-            theta = hook(theta, p[first:last])
-        return theta
+    def total(on):  # type: ignore[no-untyped-def]
+        return False
 
-    return measure
+    def link(before: Any, index: int) -> Any:
+        @inlined
+        def chained(on):  # type: ignore[no-untyped-def]
+            return before(on) or on[index]
+
+        return chained
+
+    for item in having(*kinds):
+        total = link(total, EFFECT_INDEX[item.name])
+    return total
 
 
-command = _chain("command", lambda duty_pct, p, on: duty_pct, _command_link)
-current = _chain("current", lambda i, duty, emf, time, winding, p, on: i, _current_link)
-torque = _chain("torque", lambda theta, omega, time, duty, p, on: 0.0, _torque_link)
-friction = _chain("friction", lambda level, theta, omega, time, drive, direction, bearing, p, on: level, _friction_link)
-breakaway = _chain("breakaway", lambda p, on: 0.0, _breakaway_link)
-measure = _chain("measure", lambda theta, p, on: theta, _measure_link)
+def _sum(a: float, b: float) -> float:
+    return a + b
+
+
+def _least(a: float, b: float) -> float:
+    return min(a, b)
+
+
+def _largest(a: float, b: float) -> float:
+    return max(a, b)
+
+
+def _either(a: bool, b: bool) -> bool:
+    return a or b
+
+
+command = _folded("command")
+voltage = _folded("voltage")
+inertia = _folded("inertia")
+measure = _folded("measure")
+resistance = _with_state("resistance")
+friction = _with_state("friction")
+bristle = _with_state("bristle")
+drop = _joined("drop", 0.0, _sum)
+ceiling = _joined("ceiling", inf, _least)
+lag = _joined("lag", 0.0, _largest)
+torque = _joined("torque", 0.0, _sum)
+load = _joined("load", 0.0, _sum)
+breakaway = _joined("breakaway", 0.0, _sum)
+delay = _joined("delay", 0.0, _sum)
+margin = _joined("event", inf, _least)
+barred = _joined("bars", False, _either)  # type: ignore[arg-type]
+coupling = _coupled()
+jumped = _jumped()
+carry = _carried()
+opens = _any("opens")
+remembers = _any("rate")
+winds = _any("resistance", "drop", "ceiling", "lag", "opens", "voltage")
+ends = _any("event")
+
+
+def _moments() -> Any:
+    """The next moment after one at which the plant changes, on the bench's clock."""
+
+    @inlined
+    def total(now, p, on):  # type: ignore[no-untyped-def]
+        return inf
+
+    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+        @inlined
+        def chained(now, p, on):  # type: ignore[no-untyped-def]
+            found = before(now, p, on)
+            if on[index]:
+                at = hook(p[first:last])
+                if at > now:
+                    found = min(found, at)
+            return found
+
+        return chained
+
+    for item in having("moment"):
+        total = link(total, inlined(item.moment), *_places(item))  # type: ignore[arg-type]
+    return total
+
+
+next_moment = _moments()
+NO_BRISTLE = nan

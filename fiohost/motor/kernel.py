@@ -1,40 +1,38 @@
 """The simulation kernel: from commands to states, by exact steps between events.
 
-Between events the drive is constant, so speed and angle follow closed forms. Where a torque depends on the state, the
-step is cut to ``substep`` and the torque is taken at the midpoint. A step ends where the speed crosses zero; there the
-shaft rests while drive minus load stays within break-away. Without state-dependent torques a whole hold is one exact
-step. Nothing is regularised.
+Between events each regime is linear, so speed, angle and current follow closed forms. Where a torque depends on the
+state, the step is cut to ``substep`` and the torque is taken at the midpoint. A step ends at an event: where the speed
+crosses zero (there the shaft rests while drive minus load stays within break-away), at an end of travel, where play
+closes or opens, where a current ceases. Without state-dependent torques a whole hold is one exact step. Nothing is
+regularised.
 
 Units: degrees (or the unit of a linear axis), seconds, percent of duty.
 """
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 
-from fiohost.motor.compiled import compiled
-from fiohost.motor.gap import advance_gap
-from fiohost.motor.hooks import command
-from fiohost.motor.lagged import advance_lagged
-from fiohost.motor.rigid import advance
-from fiohost.motor.spring import advance_spring
-from fiohost.motor.state import (
-    BACKLASH,
-    CHANGE_ON,
-    CHANGE_TIME,
-    DELAY,
-    DELAY_ON,
-    FAST_ON,
-    GAP,
-    LAG,
-    LAG_ON,
-    SHARE,
-    SMALLEST_LAG_S,
-    SMALLEST_SHARE,
-    SPRING_ON,
-    SPRING_SHARE,
-    STATE_SIZE,
-)
+from fiohost.motor.compiled import compiled, inlined
+from fiohost.motor.electrics import winding_lag
+from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, winds
+from fiohost.motor.state import HELD, SMALLEST_SHARE, STATE_SIZE
+from fiohost.motor.step import PLAY, RIGID, SPRING, advance
+
+
+@inlined
+def joint_of(p, on):  # type: ignore[no-untyped-def]
+    """What joins the load: kind, share of the inertia, half the gap, stiffness and damping per inertia."""
+    share, half_gap, stiff, damp = coupling(p, on)
+    if share < SMALLEST_SHARE:
+        return RIGID, 0.0, half_gap, 0.0, 0.0
+    if stiff > 0.0:
+        return SPRING, share, half_gap, stiff, damp
+    if half_gap > 0.0:
+        return PLAY, share, half_gap, 0.0, 0.0
+    return RIGID, 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
@@ -45,39 +43,33 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     ``duties[j+1]`` begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact
     step.
     """
-    delay = p[DELAY] if on[DELAY_ON] else 0.0
-    gap = on[BACKLASH] and p[GAP] > 0.0
-    spring = on[SPRING_ON] and p[SPRING_SHARE] >= SMALLEST_SHARE
-    switch = p[CHANGE_TIME] - clock if on[CHANGE_ON] else -1.0
-    two = gap and p[SHARE] >= SMALLEST_SHARE
-    play = 0.5 * p[GAP] if gap else 0.0
-    lagged = (on[LAG_ON] and p[LAG] >= SMALLEST_LAG_S) or on[FAST_ON]
+    late = delay((), p, on)
+    joint, lag, more = joint_of(p, on), winding_lag(p, on), winds(on)
     now = times[first]
-    j = np.searchsorted(act_times, now - delay, side="right")
-    duty = command(duties[j], p, on)
+    change = next_moment(clock + now, p, on) - clock
+    j = np.searchsorted(act_times, now - late, side="right")
+    duty = command(duties[j], (p[PERIOD],), p, on)
     for i in range(STATE_SIZE):
         states[0, i] = state[i]
     n = act_times.shape[0]
     for k in range(first + 1, last):
         while now < times[k]:
             until = times[k]
-            changes = j < n and act_times[j] + delay < until
+            changes = j < n and act_times[j] + late < until
             if changes:
-                until = max(act_times[j] + delay, now)
-            if now < switch < until:
-                until, changes = switch, False
+                until = max(act_times[j] + late, now)
+            if change < until:
+                until, changes = change, False
             if until > now:
-                if two:
-                    advance_gap(state, duty, modes[j], clock + now, until - now, substep, p, on)
-                elif spring:
-                    advance_spring(state, duty, modes[j], clock + now, until - now, substep, p, on)
-                elif lagged:
-                    advance_lagged(state, duty, modes[j], clock + now, until - now, substep, play, p, on)
-                else:
-                    advance(state, duty, modes[j], clock + now, until - now, substep, play, p, on)
+                advance(state, duty, modes[j], clock + now, until - now, substep, joint, lag, more, p, on)
             now = until
+            if now >= change:
+                change = next_moment(clock + now, p, on) - clock
+                change = change if change > now else inf
             if changes:
+                if duties[j + 1] != duties[j] or modes[j + 1] != modes[j]:
+                    state[HELD] = 0.0
                 j += 1
-                duty = command(duties[j], p, on)
+                duty = command(duties[j], (p[PERIOD],), p, on)
         for i in range(STATE_SIZE):
             states[k - first, i] = state[i]

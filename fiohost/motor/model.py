@@ -16,6 +16,11 @@ SCHEMA = "fiohost.model/1"
 # What the numbers of a model are in, and those of its file; on a linear axis files say metres.
 DEGREES, MILLIMETRES, METRES = "deg", "mm", "m"
 MM_PER_M = 1000.0
+# What depends on the state is frozen for no more than this part of the mechanical time constant.
+STEPS_A_LAG = 16.0
+# The frequency of the PWM where nothing says another.
+PWM_HZ = 20000.0
+LOWEST_PWM_HZ, HIGHEST_PWM_HZ = 10.0, 1e6
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class Model:
     values: Mapping[str, Value] = None  # type: ignore[assignment]
     fixed: frozenset[str] = frozenset()
     unit: str = DEGREES
+    pwm_hz: float = PWM_HZ
 
     def __post_init__(self) -> None:
         given = dict(self.values or {})
@@ -185,17 +191,18 @@ class Model:
         return on
 
     def vector(self) -> np.ndarray:
-        """All parameters in the kernel's flat order; those of absent effects are zero."""
-        flat = np.zeros(sum(len(e.parameters) for e in effects().values()))
+        """All parameters in the kernel's flat order, then the PWM's period in s; those of absent effects are zero."""
+        flat = np.zeros(sum(len(e.parameters) for e in effects().values()) + 1)
+        flat[-1] = 1.0 / self.pwm_hz
         for item in self.parts():
             for i, parameter in enumerate(item.parameters):
                 flat[layout()[item.name] + i] = parameter.code(self.values[f"{item.name}.{parameter.name}"])
         return flat
 
     def substep_s(self) -> float:
-        """Longest step of the kernel, 0 where each hold is one exact step."""
+        """Longest step of the kernel in s, 0 where each hold is one exact step."""
         steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
-        return min(steps, default=0.0)
+        return min([*steps, self.number("linear.tau_s") / STEPS_A_LAG]) if steps else 0.0
 
 
 def _scaled(values: Mapping[str, Value], factor: float) -> dict[str, Value]:

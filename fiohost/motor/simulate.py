@@ -9,23 +9,34 @@ import numpy as np
 
 from fiohost.motor import kernel
 from fiohost.motor.effect import effect
-from fiohost.motor.model import Model
+from fiohost.motor.hooks import EFFECT_INDEX
+from fiohost.motor.model import Model, slot
 from fiohost.motor.state import (
     BACKLASH,
-    BEARING,
     CONTACT,
     GAP,
     LOAD_OMEGA,
     LOAD_THETA,
     OMEGA,
-    SIDE,
+    SMALLEST_SHARE,
     STATE_SIZE,
     THETA,
-    WINDING,
+    WARMTH,
     WORK_SIZE,
 )
 
-_SIDE = effect("backlash").parameter("side")
+# Where a coupling says on which side of it the encoder sits: switch, slots of the side and of the load's share, the
+# side beyond it, and whether it is there by its gap, with or without a load.
+_COUPLINGS = [
+    (
+        EFFECT_INDEX[e.name],
+        slot(f"{e.name}.side"),
+        slot(f"{e.name}.{share}"),
+        next(i for i, c in enumerate(e.parameter("side").choices) if c.startswith("encoder_after")),
+        e.name == "backlash",
+    )
+    for e, share in ((effect("backlash"), "load_inertia_ratio"), (effect("shaft_compliance"), "inertia_ratio"))
+]
 
 
 @dataclass(frozen=True)
@@ -61,8 +72,10 @@ class Start(NamedTuple):
 
 def seen_angle(p: np.ndarray, on: np.ndarray) -> int:
     """Which angle of the state the encoder sees: the load's where it sits after a gap, else the motor's."""
-    after = on[BACKLASH] and p[SIDE] == _SIDE.choices.index("encoder_after_gap")
-    return LOAD_THETA if after and p[GAP] > 0.0 else THETA
+    for index, side, share, after, gap in _COUPLINGS:
+        if on[index] and p[side] == after and (p[GAP] > 0.0 if gap else p[share] >= SMALLEST_SHARE):
+            return LOAD_THETA
+    return THETA
 
 
 def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
@@ -75,7 +88,7 @@ def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
     else:
         state[THETA] += lead
     state[OMEGA] = start.speed
-    state[WINDING] = state[BEARING] = start.warmth
+    state[WARMTH] = start.warmth
     state[LOAD_OMEGA] = start.speed + start.drift
     state[CONTACT] = start.play if abs(start.play) == 1.0 and start.drift == 0.0 else 0.0
     return state

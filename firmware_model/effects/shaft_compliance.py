@@ -21,6 +21,7 @@ def reduced(plant: Plant, q: Mapping[str, Any]) -> dict[str, Any]:
         "resonance_hz": natural / (2.0 * math.pi),
         "damping_ratio": q["damping_Nms"] * inverse / (2.0 * natural),
         "inertia_ratio": load / plant.J_kgm2,
+        "side": q["side"],
     }
 
 

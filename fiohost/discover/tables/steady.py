@@ -18,9 +18,8 @@ from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Constant, Figure, Row
 from fiohost.motor.compiled import compiled
 from fiohost.motor.effect import effects, layout
-from fiohost.motor.flow import plant as plant_at
-from fiohost.motor.flow import settled_current
-from fiohost.motor.hooks import command
+from fiohost.motor.electrics import settled_current
+from fiohost.motor.hooks import PERIOD, command
 from fiohost.motor.simulate import Excitation, run
 from fiohost.motor.state import DRIVE, GAIN, OMEGA, STATE_SIZE, TAU, THETA
 
@@ -39,10 +38,9 @@ CONSTANTS = (
 @compiled
 def _currents(states, times, duty, p, on, found):  # type: ignore[no-untyped-def]
     """Current in percent of stall at each of the states (n, STATE_SIZE) under a duty."""
-    acting = command(duty, p, on)
+    acting = command(duty, (p[PERIOD],), p, on)
     for i in range(states.shape[0]):
-        gain, _, _ = plant_at(times[i], p, on)
-        found[i] = settled_current(states[i, OMEGA], times[i], acting, DRIVE, gain, states[i], p, on)
+        found[i] = settled_current(states[i, OMEGA], times[i], acting, states[i], p, on)
 
 
 @dataclass(frozen=True)

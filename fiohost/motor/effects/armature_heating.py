@@ -3,8 +3,14 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def current(i_pct, duty_pct, emf_pct, time_s, winding, q):  # type: ignore[no-untyped-def]
-    return i_pct / (1.0 + q[0] * winding)
+def resistance(ohms, duty_pct, z, q):  # type: ignore[no-untyped-def]
+    return ohms * (1.0 + q[0] * z)
+
+
+def rate(z, omega_deg_s, current_pct, q):  # type: ignore[no-untyped-def]
+    """The losses are those of the hot winding."""
+    cold_loss = (current_pct / 100.0) ** 2
+    return cold_loss / q[1], (1.0 - q[0] * cold_loss) / q[1]
 
 
 EFFECTS = (
@@ -14,7 +20,7 @@ EFFECTS = (
         equation="current = (duty - emf) / (1 + rise_ratio * h); "
         "dh/dt = ((current / stall)**2 * (1 + rise_ratio * h) - h) / time_constant",
         acts_on="current",
-        stage=35,
+        stage=20,
         substep_s=0.0025,
         signature="gain falls after loaded phases and recovers at rest",
         parameters=(
@@ -24,6 +30,7 @@ EFFECTS = (
         warms=True,
         trials=tuple({"rise_ratio": 1.0, "time_constant_s": t} for t in (3.0, 10.0, 40.0)),
         source="Isermann, Fault-Diagnosis Applications, DC motor; copper 0.39 % per kelvin",
-        current=current,
+        resistance=resistance,
+        rate=rate,
     ),
 )

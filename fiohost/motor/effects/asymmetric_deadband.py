@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def command(duty_pct, q):  # type: ignore[no-untyped-def]
+def command(duty_pct, period_s, q):  # type: ignore[no-untyped-def]
     if duty_pct > q[0]:
         return duty_pct - q[0]
     if duty_pct < q[1]:
@@ -17,7 +17,7 @@ EFFECTS = (
         summary="no effect between two levels that differ by direction",
         equation="duty_eff = duty - u_plus above u_plus, duty - u_minus below u_minus, else 0",
         acts_on="command",
-        stage=30,
+        stage=31,
         commonness=5,
         signature="dead zone of different width in the two directions",
         parameters=(

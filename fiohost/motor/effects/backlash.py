@@ -11,6 +11,11 @@ def _trial(gap_deg: float, side: str, share: float) -> Mapping[str, Value]:
     return {"gap_deg": gap_deg, "side": side, "load_inertia_ratio": share}
 
 
+def coupling(q):  # type: ignore[no-untyped-def]
+    """A rigid contact: half the gap, and the share of the inertia beyond it."""
+    return q[2], 0.5 * q[0], 0.0, 0.0
+
+
 EFFECTS = (
     Effect(
         name="backlash",
@@ -31,5 +36,6 @@ EFFECTS = (
             *(_trial(gap, "encoder_before_gap", 0.3) for gap in (1.0, 3.0, 8.0)),
         ),
         source="Nordin and Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38, 2002",
+        coupling=coupling,
     ),
 )

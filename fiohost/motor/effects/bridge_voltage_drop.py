@@ -3,12 +3,8 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def current(i_pct, duty_pct, emf_pct, time_s, winding, q):  # type: ignore[no-untyped-def]
-    if i_pct > q[0]:
-        return i_pct - q[0]
-    if i_pct < -q[0]:
-        return i_pct + q[0]
-    return 0.0
+def drop(q):  # type: ignore[no-untyped-def]
+    return q[0]
 
 
 EFFECTS = (
@@ -17,13 +13,12 @@ EFFECTS = (
         summary="a voltage lost, opposing the current",
         equation="current = duty - emf - drop * sgn(current); none while |duty - emf| <= drop",
         acts_on="current",
-        stage=20,
         substep_s=0.0025,
         commonness=3,
         signature="like dry friction while driving, the other way round while braking by the motor",
         parameters=(Parameter("drop_pct", "%", 2.0, 0.0, 50.0),),
         trials=({"drop_pct": 1.0}, {"drop_pct": 4.0}),
         source="Saturation voltage of bipolar bridges, LB1836M data sheet",
-        current=current,
+        drop=drop,
     ),
 )

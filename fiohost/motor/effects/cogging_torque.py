@@ -5,7 +5,7 @@ import math
 from fiohost.motor.effect import Effect, Parameter
 
 
-def torque(theta_deg, omega_deg_s, time_s, duty_pct, q):  # type: ignore[no-untyped-def]
+def torque(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]
     return -q[1] * math.sin((q[0] * theta_deg + q[2]) * (math.pi / 180.0))
 
 

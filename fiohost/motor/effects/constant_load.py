@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def torque(theta_deg, omega_deg_s, time_s, duty_pct, q):  # type: ignore[no-untyped-def]
+def load(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]
     return -q[0]
 
 
@@ -19,6 +19,6 @@ EFFECTS = (
         trials=({"level_pct": 1.0},),
         equivalents=("asymmetric_coulomb_friction",),
         source="Elevator and bias loads; control lab appendix, section D-2",
-        torque=torque,
+        load=load,
     ),
 )

@@ -3,11 +3,11 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
     return level + q[0]
 
 
-def friction_by_direction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+def friction_by_direction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
     return level + (q[0] if direction > 0.0 else q[1])
 
 

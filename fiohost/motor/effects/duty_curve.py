@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def command(duty_pct, q):  # type: ignore[no-untyped-def]
+def command(duty_pct, period_s, q):  # type: ignore[no-untyped-def]
     size = 100.0 * (abs(duty_pct) * 0.01) ** q[0]
     return size if duty_pct > 0.0 else -size
 
@@ -14,7 +14,7 @@ EFFECTS = (
         summary="speed not proportional to duty",
         equation="duty_eff = 100 % * sgn(duty) * (|duty| / 100 %) ** exponent",
         acts_on="command",
-        stage=50,
+        stage=20,
         commonness=5,
         signature="curvature that follows the duty, not the speed",
         parameters=(Parameter("exponent", "", 1.1, 0.2, 5.0, neutral=1.0, step=1e-4),),

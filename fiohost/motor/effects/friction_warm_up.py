@@ -3,8 +3,12 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
-    return level * (1.0 - q[0] * bearing)
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
+    return level * (1.0 - q[0] * z)
+
+
+def rate(z, omega_deg_s, current_pct, q):  # type: ignore[no-untyped-def]
+    return (1.0 / q[1] if omega_deg_s != 0.0 or q[2] == 1.0 else 0.0), 1.0 / q[1]
 
 
 EFFECTS = (
@@ -14,7 +18,7 @@ EFFECTS = (
         equation="friction = level * (1 - ratio * w); dw/dt = (warming - w) / time_constant; warming is 1 while it "
         "turns and 0 at rest (follows running), or 1 throughout (follows time)",
         acts_on="friction",
-        stage=30,
+        stage=80,
         substep_s=0.005,
         commonness=6,
         warms=True,
@@ -29,5 +33,6 @@ EFFECTS = (
         ),
         source="Bona and Indri, Friction compensation in robotics: an overview, CDC 2005",
         friction=friction,
+        rate=rate,
     ),
 )

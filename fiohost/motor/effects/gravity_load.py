@@ -5,7 +5,7 @@ import math
 from fiohost.motor.effect import Effect, Parameter
 
 
-def torque(theta_deg, omega_deg_s, time_s, duty_pct, q):  # type: ignore[no-untyped-def]
+def load(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]
     return -q[0] * math.sin((theta_deg + q[1]) * (math.pi / 180.0))
 
 
@@ -26,6 +26,6 @@ EFFECTS = (
         linear_pairs=True,
         equivalents=("cogging_torque",),
         source="Pendulum on a motor shaft; control lab appendix, arm and payload, section D-1-6",
-        torque=torque,
+        load=load,
     ),
 )

@@ -10,6 +10,18 @@ def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
     return tuple({"angle_deg": angle} for angle in span.ends_deg)
 
 
+def event(theta_deg, omega_deg_s, q):  # type: ignore[no-untyped-def]
+    return q[0] - theta_deg if q[0] > 0.0 else theta_deg - q[0]
+
+
+def jump(theta_deg, omega_deg_s, q):  # type: ignore[no-untyped-def]
+    return q[0], 0.0
+
+
+def bars(theta_deg, direction, q):  # type: ignore[no-untyped-def]
+    return theta_deg == q[0] and direction * q[0] > 0.0
+
+
 EFFECTS = (
     Effect(
         name="hard_stop",
@@ -23,5 +35,8 @@ EFFECTS = (
         parameters=(Parameter("angle_deg", "deg", 720.0, -1e6, 1e6, neutral=None, step=0.05),),
         trials_for=trials_for,
         source="End stops of arms and lifts",
+        event=event,
+        jump=jump,
+        bars=bars,
     ),
 )

@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
     return level + q[0] * abs(drive_pct)
 
 

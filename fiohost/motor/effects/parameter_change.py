@@ -1,17 +1,30 @@
-"""Inertia, friction, gain or supply changes during the run."""
+"""Inertia, friction or gain changes during the run."""
 
 from collections.abc import Mapping
 
 from fiohost.motor.effect import Effect, Parameter, Span, Value
 
 MOMENTS = 24
-WHICH = ("inertia", "friction", "gain", "supply")
-SUPPLY = WHICH.index("supply")
+WHICH = ("inertia", "friction", "gain")
+INERTIA, FRICTION, GAIN = range(3)
+SAME_TIME_S = 1e-9
 
 
-def current(i_pct, duty_pct, emf_pct, time_s, winding, q):  # type: ignore[no-untyped-def]
-    """A supply's change scales what drives, not what the shaft gives back; the other changes are the kernel's own."""
-    return i_pct + (duty_pct * (q[2] - 1.0) if q[1] == SUPPLY and time_s >= q[0] else 0.0)
+def inertia(ratio, time_s, q):  # type: ignore[no-untyped-def]
+    return ratio * q[2] if q[1] == INERTIA and time_s >= q[0] - SAME_TIME_S else ratio
+
+
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
+    return level * q[2] if q[1] == FRICTION and time_s >= q[0] - SAME_TIME_S else level
+
+
+def voltage(volts_pct, duty_pct, time_s, q):  # type: ignore[no-untyped-def]
+    """A gain's change scales what drives, not what the shaft gives back."""
+    return volts_pct * q[2] if q[1] == GAIN and time_s >= q[0] - SAME_TIME_S else volts_pct
+
+
+def moment(q):  # type: ignore[no-untyped-def]
+    return q[0]
 
 
 def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
@@ -24,8 +37,8 @@ def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
 EFFECTS = (
     Effect(
         name="parameter_change",
-        summary="inertia, friction, gain or supply changes during the run",
-        equation="from time on, tau, friction, K or duty is multiplied by ratio",
+        summary="inertia, friction or gain changes during the run",
+        equation="from time on, inertia, sliding friction or the voltage that drives is multiplied by ratio",
         acts_on="structure",
         signature="one model before a moment, another after it",
         parameters=(
@@ -36,7 +49,11 @@ EFFECTS = (
         trials_for=trials_for,
         once=True,
         clocked=True,
-        current=current,
+        stage=90,
+        inertia=inertia,
+        friction=friction,
+        voltage=voltage,
+        moment=moment,
         source="A load picked up or dropped; change detection, Basseville and Nikiforov 1993",
     ),
 )

@@ -5,7 +5,7 @@ import math
 from fiohost.motor.effect import Effect, Parameter
 
 
-def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
     return level * (1.0 + q[0] * math.sin((q[1] * theta_deg + q[2]) * (math.pi / 180.0)))
 
 
@@ -15,7 +15,7 @@ EFFECTS = (
         summary="friction * (1 + ratio sin(order angle + phase))",
         equation="friction = level * (1 + ratio * sin(order * theta + phase))",
         acts_on="friction",
-        stage=20,
+        stage=70,
         substep_s=0.0025,
         commonness=6,
         angle_bound=True,

@@ -5,11 +5,11 @@ import math
 from fiohost.motor.effect import Effect, Parameter
 
 
-def command(duty_pct, q):  # type: ignore[no-untyped-def]
+def command(duty_pct, period_s, q):  # type: ignore[no-untyped-def]
     steps = q[0] * 0.01
     if q[1] == 0.0:
         return math.floor(abs(duty_pct) * steps + 1e-9) / steps * (1.0 if duty_pct > 0.0 else -1.0)
-    return math.floor(abs(duty_pct) * steps + 0.5) / steps * (1.0 if duty_pct > 0.0 else -1.0)
+    return math.floor(abs(duty_pct) * steps + 0.5 + 1e-9) / steps * (1.0 if duty_pct > 0.0 else -1.0)
 
 
 EFFECTS = (
@@ -18,7 +18,7 @@ EFFECTS = (
         summary="coarse duty steps",
         equation="duty_eff = duty cut, or rounded, to a multiple of 100 % / levels",
         acts_on="command",
-        stage=20,
+        stage=10,
         commonness=5,
         signature="steps in the speed under a slow ramp; nothing at exact levels",
         parameters=(

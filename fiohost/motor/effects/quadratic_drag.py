@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def torque(theta_deg, omega_deg_s, time_s, duty_pct, q):  # type: ignore[no-untyped-def]
+def torque(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]
     return -q[0] * omega_deg_s * abs(omega_deg_s) * 1e-6
 
 

@@ -5,7 +5,7 @@ import math
 from fiohost.motor.effect import Effect, Parameter
 
 
-def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, bearing, q):  # type: ignore[no-untyped-def]
+def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):  # type: ignore[no-untyped-def]
     ratio = abs(omega_deg_s) / q[1]
     return level + q[0] * math.exp(-ratio if q[2] == 0.0 else -ratio * ratio)
 

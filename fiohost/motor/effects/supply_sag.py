@@ -3,9 +3,9 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def current(i_pct, duty_pct, emf_pct, time_s, winding, q):  # type: ignore[no-untyped-def]
+def resistance(ohms, duty_pct, z, q):  # type: ignore[no-untyped-def]
     share = duty_pct * 0.01
-    return i_pct / (1.0 + q[0] * share * share)
+    return ohms + q[0] * share * share
 
 
 EFFECTS = (
@@ -21,6 +21,6 @@ EFFECTS = (
         parameters=(Parameter("ratio", "", 0.1, 0.0, 5.0, step=1e-4),),
         trials=({"ratio": 0.1},),
         source="Battery and wiring resistance; averaged switch model, Erickson and Maksimovic",
-        current=current,
+        resistance=resistance,
     ),
 )

@@ -2,6 +2,11 @@
 
 from fiohost.motor.effect import Effect, Parameter
 
+
+def delay(q):  # type: ignore[no-untyped-def]
+    return q[0]
+
+
 EFFECTS = (
     Effect(
         name="transport_delay",
@@ -13,5 +18,6 @@ EFFECTS = (
         parameters=(Parameter("delay_s", "s", 0.005, 0.0, 0.5, step=1e-5),),
         trials=tuple({"delay_s": delay} for delay in (0.0025, 0.005, 0.01, 0.02, 0.04)),
         source="Report latency and computation time; Franklin, Powell, Workman, Digital Control of Dynamic Systems",
+        delay=delay,
     ),
 )

@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def command(duty_pct, q):  # type: ignore[no-untyped-def]
+def command(duty_pct, period_s, q):  # type: ignore[no-untyped-def]
     return min(max(duty_pct, -q[0]), q[0])
 
 

@@ -1,0 +1,180 @@
+"""The winding within a PWM period: the mean of its current once it repeats, and what its mean tends to before.
+
+In each part of a period the bridge shows the winding a voltage ``u`` and a loss ``l`` against the current, and
+``lag di/dt = u - emf - l sgn(i) - ohms i``; a current of zero rests while ``|u - emf| <= l``, one at the limit stays
+there. While a pulse is on ``u`` is the supply and ``l`` what the bridge drops; in the pause a shorted bridge shows
+``u = 0`` and the same drop, an open one the whole supply as a loss. While the current neither ceases nor meets its
+limit the circuit is linear and its mean follows the mean voltage, whatever the ripple (Middlebrook and Cuk 1976);
+elsewhere the periodic current is followed piece by piece over one period. Without lag there is no ripple: such a
+winding knows means alone.
+
+Voltages in percent of the supply, currents in percent of the stalled motor's at full duty.
+"""
+
+from __future__ import annotations
+
+from math import copysign, exp, inf, log
+
+from fiohost.motor.compiled import inlined, part, sign
+from fiohost.motor.hooks import PERIOD, ceiling, drop, lag, opens, resistance, voltage
+from fiohost.motor.state import DRIVE, GAIN, SMALLEST_LAG_S, STANDBY
+
+SUPPLY = 100.0
+MOST_PIECES = 4
+MOST_ROUNDS = 40
+CLOSE = 1e-9
+# A current is where it tends to when it is so near, beside how far it tends.
+ALIKE = 1e-9
+
+
+@part
+def follow(i, push, loss, ohms, tau, most, span):  # type: ignore[no-untyped-def]
+    """The current after a part of a period, its integral over it, and whether where it began still counts."""
+    charge, counts, left = 0.0, True, span
+    i = min(max(i, -most), most)
+    for _ in range(MOST_PIECES):
+        if left <= 0.0:
+            break
+        way = 1.0 if i > 0.0 else -1.0
+        if i == 0.0:
+            if abs(push) <= loss:
+                return 0.0, charge, False
+            way = 1.0 if push > 0.0 else -1.0
+        target = (push - way * loss) / ohms
+        go, end = left, 0.0
+        if loss > 0.0 and target * way < 0.0:
+            go = tau * log((i - target) / -target)  # it comes to zero then
+        if go >= left:
+            go, end = left, target + (i - target) * exp(-left / tau)
+        if abs(end) > most:
+            bound = copysign(most, end)
+            go = tau * log((i - target) / (bound - target)) if i != bound else 0.0
+            charge += target * go + tau * (i - bound) + bound * (left - go)
+            return bound, charge, False
+        charge += target * go + tau * (i - end)
+        i, left = end, left - go
+    return i, charge, counts
+
+
+@part
+def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, period):  # type: ignore[no-untyped-def]
+    """Mean over a period of the current that repeats itself from one to the next: the fixed point of the period's map.
+
+    The map never falls, and rises by ``exp(-period/tau)`` at most, so the point is one and can be bracketed.
+    """
+    tau = lag_s / ohms
+    steep = exp(-period / tau)
+    low, high = -most, most
+    if most == inf:
+        high = (abs(on_volts) + abs(emf) + pause_pct) / ohms
+        low = -high
+    i, mean = 0.0, 0.0
+    for _ in range(MOST_ROUNDS):
+        top, first, counts = follow(i, on_volts - emf, drop_pct, ohms, tau, most, share * period)
+        end, second, counts_too = follow(top, -emf, pause_pct, ohms, tau, most, (1.0 - share) * period)
+        mean = (first + second) / period
+        off = end - i
+        if abs(off) <= CLOSE * (1.0 - steep):
+            break
+        if off > 0.0:
+            low = i
+        else:
+            high = i
+        i = i + off / (1.0 - steep) if counts and counts_too else end
+        if not low <= i <= high:
+            i = 0.5 * (low + high)
+    return mean
+
+
+@inlined
+def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
+    """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
+    voltages under which a current along and against the motion's sign flows, and the resistance.
+    """
+    ohms = resistance(1.0, (duty,), x, shift, p, on)
+    lost = drop((), p, on)
+    most = ceiling((), p, on)
+    emf = omega / gain
+    share = min(abs(duty) * 0.01, 1.0)
+    on_volts, pause = 0.0, lost
+    if mode == STANDBY:
+        share, pause = 0.0, SUPPLY + lost
+    elif share > 0.0:
+        on_volts = voltage(duty, (duty, time), p, on) / share
+        if opens(on):
+            pause += abs(on_volts)
+    along = share * (on_volts - lost) - (1.0 - share) * pause
+    against = share * (on_volts + lost) + (1.0 - share) * pause
+    ripple = 0.0
+    if lag_s > 0.0:
+        ripple = (abs(on_volts) + pause - lost) * share * (1.0 - share) * p[PERIOD] / lag_s
+    up, down = (along - emf) / ohms, (against - emf) / ohms
+    if along == against or up - ripple > 0.0:
+        settled = up
+    elif down + ripple < 0.0:
+        settled = down
+    elif ripple == 0.0:
+        return 0.0, True, along, against, ohms
+    else:
+        settled = inf
+    if settled != inf and abs(settled) + ripple <= most:
+        return settled, False, along, against, ohms
+    if ripple == 0.0:
+        return copysign(most, settled), True, along, against, ohms
+    return (
+        repeated(on_volts, share, lost, pause, emf, ohms, lag_s, most, p[PERIOD]), True, along, against, ohms,
+    )  # fmt: skip
+
+
+@inlined
+def winding_lag(p, on):  # type: ignore[no-untyped-def]
+    """L/R of the cold winding, 0 where it is too fast to matter."""
+    found = lag((), p, on)
+    return found if found >= SMALLEST_LAG_S else 0.0
+
+
+@inlined
+def settled_current(omega, time, duty, x, p, on):  # type: ignore[no-untyped-def]
+    """Mean current in percent of stall of a driven motor at a speed, once a lag of its own is over."""
+    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, p[GAIN], x, 0, winding_lag(p, on), p, on)
+    return mean
+
+
+@inlined
+def flows(amps, along, against):  # type: ignore[no-untyped-def]
+    """Which way a current flows, or starts from zero under the mean voltages for either way (0: not at all)."""
+    if amps != 0.0:
+        return sign(amps)
+    return 1.0 if along > 0.0 else (-1.0 if against < 0.0 else 0.0)
+
+
+@inlined
+def winding(omega, amps, time, duty, mode, gain, lag, winds, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
+    """The current that drives, the voltage and resistance that it follows, the settled value at which it stays (inf:
+    none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
+    in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
+    """
+    if not winds:
+        if mode == STANDBY:
+            return 0.0, 0.0, 1.0, inf, 0.0, 0
+        return duty - omega / gain, duty, 1.0, inf, 0.0, 0
+    mean, special, along, against, ohms = circuit(omega, time, duty, mode, gain, x, shift, lag, p, on)
+    if free < 0:
+        free = 0
+        if lag > 0.0 and not (settled and special):
+            free = 1
+            if special:  # it ceases or is limited in each period, and is free until it comes there
+                way = flows(amps, along - omega / gain, against - omega / gain)
+                tends = (along if way > 0.0 else against) - omega / gain - ohms * amps
+                free = 1 if way != 0.0 and (mean - amps) * tends > ALIKE * abs(tends) else 0
+    if free != 1:
+        return mean, (mean + omega / gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
+    if way == 0.0:
+        way = flows(amps, along - omega / gain, against - omega / gain)
+    return amps, (along if way > 0.0 else against), ohms, (mean if special else inf), way, 1
+
+
+@inlined
+def loses(mode, p, on):  # type: ignore[no-untyped-def]
+    """Whether a voltage is lost against the current in some part of a period, so that its zero matters."""
+    return mode == STANDBY or opens(on) or drop((), p, on) > 0.0

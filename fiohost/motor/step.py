@@ -1,0 +1,217 @@
+"""One step of the motor: which regime holds, its linear flow, the first event on the way, and what jumps there.
+
+What depends on the state is taken at the beginning, carried half a step, and taken again at the predicted middle
+(exponential midpoint rule, second order: Hochbruck and Ostermann 2010). In between a regime is linear and its flow is
+exact. The regimes differ in what joins motor and load (rigid, play open or closed, a spring), in what rests, and in
+whether the current lags. A step ends where a margin that is positive within the regime falls below zero.
+"""
+
+from __future__ import annotations
+
+from math import inf, isnan
+
+from fiohost.motor.compiled import inlined, sign
+from fiohost.motor.electrics import loses, winding
+from fiohost.motor.events import (
+    ALIKE,
+    END,
+    ENGAGING,
+    NO_CURRENT,
+    OPEN_GAP_S,
+    PARTING,
+    PLAY,
+    RELEASE,
+    REST,
+    RIGID,
+    SPRING,
+    TOUCH,
+    judge,
+    locate,
+    strain_of,
+)
+from fiohost.motor.flow import flow
+from fiohost.motor.hooks import (
+    NO_BRISTLE,
+    barred,
+    breakaway,
+    bristle,
+    carry,
+    ends,
+    friction,
+    inertia,
+    jumped,
+    load,
+    opens,
+    remembers,
+    torque,
+)
+from fiohost.motor.state import (
+    CONTACT,
+    CURRENT,
+    DRIVE,
+    GAIN,
+    HALF,
+    HELD,
+    LOAD_OMEGA,
+    LOAD_THETA,
+    MIDDLE,
+    OMEGA,
+    STANDBY,
+    TAU,
+    THETA,
+    WHOLE,
+)
+
+# In one span; usual are one to ten.
+MOST_STEPS = 400
+
+
+@inlined
+def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # type: ignore[no-untyped-def]
+    """Carry the motor over a span of constant command. ``joint`` is what joins the load: its kind, the share of the
+    inertia, half the gap, stiffness and damping per inertia; ``winds`` says that the winding is more than a resistance.
+    """
+    kind, share, half_gap, stiff, damp = joint
+    gain = p[GAIN]
+    stiff, damp = stiff * p[TAU] / gain, damp * p[TAU] / gain
+    if mode == DRIVE and duty == 0.0 and opens(on):
+        mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
+    remembering, ending, lossy = remembers(on), ends(on), loses(mode, p, on)
+    left, released = span, False
+    for _ in range(MOST_STEPS):
+        if left <= 0.0:
+            break
+        theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
+        mass = p[TAU] / gain * inertia(1.0, (time,), p, on)
+        bodies = (gain, mass, mass * (1.0 - share), mass * share, stiff, damp, half_gap)
+        own, other = bodies[2], bodies[3]
+        joined = kind == RIGID or (kind == PLAY and contact != 0.0)
+        load_omega = omega if joined else x[LOAD_OMEGA]
+        load_at = theta if kind == RIGID else x[LOAD_THETA]
+        twist = theta - load_at
+        dt = min(left, substep) if substep > 0.0 else left
+        if kind == PLAY and not joined:
+            dt = min(dt, OPEN_GAP_S)
+        if kind == SPRING and half_gap > 0.0 and contact == 0.0:
+            dt = min(dt, OPEN_GAP_S)
+        sprung = kind == SPRING and (half_gap == 0.0 or contact != 0.0)
+
+        at, shift, free, way, settled = time, 0, -1, 0.0, x[HELD] != 0.0
+        direction, stuck, stuck_load, parts, hold, rest = sign(omega), False, False, False, 0.0, 0.0
+        turn, w, i, s, v, h, push = 0.0, omega, amps, twist, load_omega, 0.0, 0.0
+        motion, forces = (omega, amps, twist, load_omega), (0.0, 0.0, 0.0)
+        regime = (joined, sprung, False, False, True, 0.0, 1.0, contact)
+        current, bristled = (inf, 0.0, False), False
+        for middle in range(2):
+            push, volts, ohms, until, way, free = winding(
+                w, i, at, duty, mode, gain, lag, winds, free, way, settled, x, shift, p, on
+            )
+            if middle == 0 and free != 1:
+                amps, settled = push, free == 2
+                motion = (omega, amps, twist, load_omega)
+            q = theta + turn
+            rest = torque((q, w, at), p, on)
+            beyond = load((q - s, v, at), p, on)
+            total = push + rest + (beyond if joined else 0.0)
+            if sprung:
+                total -= strain_of(s, w - v, contact, bodies)
+            slack = bristle(NO_BRISTLE, (), x, shift, p, on)
+            bristled = not isnan(slack)
+            slides = sign(slack) if bristled else direction
+            if slides == 0.0:
+                slides = 1.0 if total > 0.0 else -1.0
+            level = max(friction(0.0, (q, w, at, push, slides), x, shift, p, on), 0.0)
+            if direction == 0.0:
+                direction = slides if not bristled else (1.0 if total > level * slack else -1.0)
+            if middle == 0:
+                hold = level + breakaway((), p, on)
+                if omega == 0.0:
+                    held = ending and joined and barred((load_at, direction), p, on)
+                    stuck = held or not (bristled or released or abs(total) > hold)
+                if kind == PLAY and joined:
+                    # In contact they stay together unless each by itself would go its own way.
+                    alone, rate = push + rest, beyond / other
+                    if bristled:
+                        alone -= level * slack
+                    elif omega == 0.0 and abs(alone) <= hold:
+                        alone = 0.0
+                    else:
+                        alone -= level * (sign(omega) if omega != 0.0 else sign(alone))
+                    if ending and omega == 0.0 and barred((load_at, sign(beyond)), p, on):
+                        rate = 0.0
+                    parts = contact * (alone / own - rate) < -ALIKE * (abs(alone) / own + abs(rate))
+                elif not joined and ending and load_omega == 0.0:
+                    pull = beyond + (strain_of(twist, omega, contact, bodies) if sprung else 0.0)
+                    stuck_load = barred((load_at, sign(pull)), p, on)
+            forces = (volts, rest - (level * slack if bristled else level * direction), beyond)
+            emf, lags = free == 1 or mode != STANDBY, lag if free == 1 else 0.0
+            regime = (joined, sprung, stuck, stuck_load, emf, lags, ohms, contact)
+            current = (until, way, lossy)
+            if parts:
+                break
+            if middle == 0 and substep > 0.0:
+                h = 0.5 * dt
+                turn, w, i, s, v = flow(motion, forces, bodies, regime, h, x, HALF)
+                if w * direction < 0.0 and not (bristled and omega == 0.0):
+                    w = 0.0
+                at = time + h
+                if remembering:
+                    carry(x, MIDDLE, turn / h, 0.5 * (push + i), h, p, on)
+                    shift = MIDDLE
+            else:
+                break
+        if parts:
+            x[CONTACT] = 0.0
+            continue
+
+        h = dt
+        end = flow(motion, forces, bodies, regime, h, x, WHOLE)
+        if omega == 0.0 and not stuck and not bristled and end[1] * direction <= 0.0:
+            # What holds it grew with its start.
+            stuck = True
+            regime = (joined, sprung, True, stuck_load, regime[4], regime[5], regime[6], contact)
+            end = flow(motion, forces, bodies, regime, h, x, WHOLE)
+        place = (kind, load_at, direction, hold, rest, bristled, ending)
+        found, event = judge(end, motion, forces, bodies, regime, current, place, p, on)
+        happens = found < 0.0
+        if happens:
+            end, h, event = locate(end, found, event, h, motion, forces, bodies, regime, current, place, x, p, on)
+        turn, w, i, s, v = end
+        if remembering:
+            carry(x, 0, turn / h if h > 0.0 else 0.0, 0.5 * (amps + i) if free == 1 else push, h, p, on)
+        theta += turn
+        load_theta = theta - s
+        released = False
+        if happens:
+            if event == REST:
+                w = 0.0
+                v = 0.0 if joined else v
+            elif event == END:
+                load_theta, v = jumped(load_theta, v, p, on)
+                if joined:
+                    theta, w = load_theta + s, v
+            elif event == TOUCH:
+                contact = sign(s)
+                load_theta = theta - contact * half_gap
+                together = (own * w + other * v) / mass
+                if ending and v == 0.0 and barred((load_theta, sign(together)), p, on):
+                    together = 0.0
+                w = v = together
+            elif event == PARTING:
+                contact = 0.0
+            elif event == ENGAGING:
+                contact = 0.0 if sprung else sign(s)
+            elif event == RELEASE:
+                released = True
+            elif event == NO_CURRENT:
+                i = 0.0
+            else:
+                i, settled = current[0], True
+        x[THETA], x[OMEGA], x[LOAD_OMEGA], x[CURRENT], x[CONTACT] = theta, w, v, i, contact
+        x[HELD] = 1.0 if settled else 0.0
+        if kind != RIGID:
+            x[LOAD_THETA] = load_theta
+        elif half_gap > 0.0:
+            x[LOAD_THETA] = min(max(x[LOAD_THETA], theta - half_gap), theta + half_gap)
+        left -= h
+        time += h

@@ -1,0 +1,216 @@
+"""Motors drawn at random with any effects of the library, run on the board's motor and on the fit's, to be compared.
+
+The board's integrates amperes and newton metres, adaptively; the fit's takes exact steps in percent and degrees. What
+connects them is ``Plant.reduced``: the one place where a plant's constants become percent, degrees and seconds.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fiohost.motor.effect import effects as library
+from fiohost.motor.hooks import measure
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Excitation, Start, run, seen_angle, start_state
+from firmware_model.layout import LOAD_THETA, THETA, C
+from firmware_model.motor import Motor, measured
+from firmware_model.plants import Plant, make_plant
+
+TICK_S = 0.005
+BRAKE, DRIVE, STANDBY = 2, 1, 0
+Values = dict[str, Any]
+
+
+def between(rng: random.Random, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def draw_motor(rng: random.Random) -> Values:
+    """A geared motor without viscous damping, whose winding may be without inductance."""
+    gain, tau, stall_share = between(rng, 5.0, 20.0), between(rng, 0.03, 0.25), between(rng, 0.008, 0.06)
+    supply, ohms = between(rng, 5.0, 24.0), between(rng, 1.0, 9.0)
+    back_emf = supply / (100.0 * math.radians(gain))
+    kt = rng.uniform(0.65, 1.0) * back_emf
+    return {
+        "supply_V": supply, "R_ohm": ohms, "Kt_Nm_per_A": kt, "Ke_Vs_per_rad": back_emf,
+        "J_kgm2": tau * kt * back_emf / ohms, "coulomb_Nm": stall_share * kt * supply / ohms,
+    }  # fmt: skip
+
+
+def stall(m: Values) -> float:
+    return float(m["Kt_Nm_per_A"] * m["supply_V"] / m["R_ohm"])
+
+
+def _turn(rng: random.Random) -> float:
+    return rng.uniform(0.0, 2.0 * math.pi)
+
+
+def _sign(rng: random.Random) -> float:
+    return rng.choice((-1.0, 1.0))
+
+
+def _backlash(r: random.Random, m: Values) -> Values:
+    side = r.choice(("encoder_after_gap", "encoder_before_gap"))
+    share = r.choice((0.0, r.uniform(0.1, 0.6)))
+    return {"gap_deg": between(r, 0.5, 10.0), "side": side, "load_inertia_kgm2": share * m["J_kgm2"]}
+
+
+def _spring(r: random.Random, m: Values) -> Values:
+    share, pulse = r.uniform(0.1, 0.6), 2.0 * math.pi * between(r, 4.0, 40.0)
+    both = m["J_kgm2"] * share * (1.0 - share)
+    return {
+        "stiffness_Nm_per_rad": both * pulse**2,
+        "damping_Nms": 2.0 * between(r, 0.02, 0.5) * pulse * both,
+        "load_inertia_kgm2": share * m["J_kgm2"],
+        "side": r.choice(("encoder_before_spring", "encoder_after_spring")),
+    }
+
+
+DRAWS: Mapping[str, Callable[[random.Random, Values], Values]] = {
+    "armature_heating": lambda r, m: {
+        "alpha_per_K": 0.0039,
+        "thermal_K_per_W": between(r, 0.3, 3.0) / (0.0039 * m["supply_V"] ** 2 / m["R_ohm"]),
+        "time_constant_s": between(r, 2.0, 30.0),
+    },
+    "armature_inductance": lambda r, m: {"inductance_H": between(r, 0.0005, 0.012) * m["R_ohm"]},
+    "asymmetric_coulomb_friction": lambda r, m: {
+        "forward_Nm": r.uniform(0.1, 1.0) * m["coulomb_Nm"], "reverse_Nm": r.uniform(0.1, 1.0) * m["coulomb_Nm"],
+    },
+    "asymmetric_deadband": lambda r, m: {"u_plus_pct": between(r, 0.5, 8.0), "u_minus_pct": -between(r, 0.5, 8.0)},
+    "backlash": _backlash,
+    "bridge_voltage_drop": lambda r, m: {"drop_V": between(r, 0.005, 0.06) * m["supply_V"]},
+    "cogging_torque": lambda r, m: {
+        "order": float(r.choice((2, 3, 4, 6, 8, 12, 15, 20))),
+        "torque_Nm": between(r, 0.005, 0.05) * stall(m), "phase_rad": _turn(r),
+    },
+    "constant_load": lambda r, m: {"torque_Nm": _sign(r) * between(r, 0.003, 0.06) * stall(m)},
+    "current_limit": lambda r, m: {"limit_A": r.uniform(0.25, 0.9) * m["supply_V"] / m["R_ohm"]},
+    "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + _sign(r) * between(r, 0.01, 0.2)},
+    "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * between(r, 0.02, 0.3)},
+    "encoder_eccentricity": lambda r, m: {
+        "level_deg": between(r, 0.3, 2.0), "order": float(r.choice((1, 1, 2, 4))), "phase_rad": _turn(r),
+    },
+    "fast_decay": lambda r, m: {},
+    "friction_warm_up": lambda r, m: {"ratio": r.uniform(0.1, 0.7), "time_constant_s": between(r, 2.0, 30.0)},
+    "gravity_load": lambda r, m: {"torque_Nm": between(r, 0.004, 0.08) * stall(m), "phase_rad": _turn(r)},
+    "hard_stop": lambda r, m: {"angle_deg": _sign(r) * between(r, 5.0, 300.0)},
+    "input_deadband": lambda r, m: {"level_pct": between(r, 0.5, 10.0)},
+    "load_dependent_friction": lambda r, m: {"ratio": between(r, 0.03, 0.3)},
+    "missed_counts": lambda r, m: {"ratio": between(r, 0.002, 0.05)},
+    "parameter_change": lambda r, m: {
+        "time_s": r.choice((r.uniform(0.2, 0.9), r.uniform(2.0, 12.0))),
+        "which": r.choice(("inertia", "friction", "gain")), "ratio": between(r, 0.5, 2.0),
+    },
+    "position_dependent_friction": lambda r, m: {
+        "ratio": r.uniform(0.1, 0.6), "order": float(r.choice((1, 1, 2, 4))), "phase_rad": _turn(r),
+    },
+    "presliding_friction": lambda r, m: {"breakaway_deg": between(r, 0.2, 4.0)},
+    "pwm_dead_time": lambda r, m: {"time_s": between(r, 1e-7, 3e-6)},
+    "pwm_resolution": lambda r, m: {"levels": float(r.choice((16, 50, 100, 255)))},
+    "quadratic_drag": lambda r, m: {"drag_Nms2": between(r, 0.01, 0.1) * stall(m) / math.radians(1000.0) ** 2},
+    "shaft_compliance": _spring,
+    "static_friction": lambda r, m: {"extra_Nm": between(r, 0.005, 0.05) * stall(m)},
+    "stribeck_friction": lambda r, m: {
+        "extra_Nm": between(r, 0.005, 0.04) * stall(m), "stribeck_speed_rad_s": between(r, 0.3, 4.0),
+    },
+    "supply_drift": lambda r, m: {"drift_per_s": _sign(r) * between(r, 2e-4, 2e-3)},
+    "supply_sag": lambda r, m: {"source_ohm": between(r, 0.03, 0.4) * m["R_ohm"]},
+    "transport_delay": lambda r, m: {"delay_s": between(r, 0.0005, 0.03)},
+    "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(30.0, 90.0)},
+}  # fmt: skip
+NAMES = tuple(DRAWS)
+
+
+def draw_plant(rng: random.Random, names: tuple[str, ...], *, friction: bool = True) -> Plant:
+    """A plant with these effects, each of random size."""
+    motor = draw_motor(rng)
+    if "fast_decay" in names:
+        motor["L_H"] = between(rng, 0.0005, 0.006) * motor["R_ohm"]
+    if not friction:
+        motor["coulomb_Nm"] = 0.0
+    return make_plant({**motor, "effects": {name: DRAWS[name](rng, motor) for name in names}}, "drawn")
+
+
+def draw_commands(rng: random.Random, span_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Modes and duties (n) in percent: held levels, ramps, sines, rests, brakes and run-downs one after another."""
+    n, modes, duties = round(span_s / TICK_S), [], []
+    while len(duties) < n:
+        ticks = rng.randint(10, 120)
+        kind = rng.choice(("level", "level", "level", "ramp", "sine", "brake", "standby"))
+        size = _sign(rng) * between(rng, 2.0, 100.0)
+        t = np.arange(ticks) / ticks
+        mode = {"brake": BRAKE, "standby": STANDBY}.get(kind, DRIVE)
+        shape = {"level": np.ones(ticks), "ramp": 1.0 - 2.0 * t, "sine": np.sin(2 * np.pi * rng.uniform(0.5, 4.0) * t)}
+        duties += list(size * shape[kind]) if mode == DRIVE else [0.0] * ticks
+        modes += [mode] * ticks
+    return np.array(modes[:n], np.int64), np.array(duties[:n])
+
+
+def as_model(plant: Plant) -> Model:
+    """The fit's model of a plant, in percent, degrees and seconds."""
+    reduced = plant.reduced()
+    values: Values = {}
+    for name, inner in reduced.items():
+        values.update({f"{name}.{key}": value for key, value in inner.items()})
+    if "pwm_resolution.levels" in values:
+        values["pwm_resolution.rounding"] = "nearest"
+    if "stribeck_friction.extra_pct" in values:
+        values["stribeck_friction.shape"] = "gaussian"
+    if "fast_decay" in reduced:
+        values.pop("armature_inductance.time_constant_s", None)
+        reduced.pop("armature_inductance", None)
+    names = tuple(name for name in library() if name in reduced and name != "linear")
+    return Model(names, values, pwm_hz=plant_hz(plant))
+
+
+def plant_hz(plant: Plant) -> float:
+    return float(getattr(plant, "pwm_hz", 20000.0))
+
+
+@dataclass(frozen=True)
+class Both:
+    """Shown angles (n) in degrees of one motor on the board and in the fit, at the ticks."""
+
+    board_deg: np.ndarray
+    host_deg: np.ndarray
+
+    @property
+    def apart_deg(self) -> float:
+        return float(np.max(np.abs(self.board_deg - self.host_deg)))
+
+    @property
+    def turned_deg(self) -> float:
+        return float(np.sum(np.abs(np.diff(self.board_deg))))
+
+
+def on_board(plant: Plant, modes: np.ndarray, duties: np.ndarray, pwm: str | None = None) -> np.ndarray:
+    """Angles (n) in degrees that the encoder's disc shows before each command."""
+    motor = Motor(plant, pwm=pwm)
+    _, states = motor.run_many(modes, duties, TICK_S)
+    p, on = motor._p, motor._on
+    body = states[:, LOAD_THETA if p[C.AFTER] else THETA]
+    lost = float(plant.effects.get("missed_counts", {}).get("ratio", 0.0))
+    return np.degrees([measured(float(angle), p, on) * (1.0 - lost) for angle in body])
+
+
+def on_host(model: Model, start_deg: float, modes: np.ndarray, duties: np.ndarray, speed: float = 0.0) -> np.ndarray:
+    """The same from the fit's kernel, from an angle of the motor in degrees."""
+    times = np.arange(len(duties)) * TICK_S
+    excitation = Excitation(
+        times, times, np.concatenate(([0.0], duties)), np.concatenate(([BRAKE], modes)).astype(np.int64)
+    )
+    p, on = model.vector(), model.switches()
+    states = run(excitation, p, on, model.substep_s(), start_state(Start(start_deg, speed), p, on))
+    return np.array([measure(float(angle), (), p, on) for angle in states[:, seen_angle(p, on)]])
+
+
+def compare(plant: Plant, modes: np.ndarray, duties: np.ndarray, pwm: str | None = None) -> Both:
+    """One motor on both, from the middle of its count and of its play."""
+    start = math.degrees(0.5 * 2.0 * math.pi / plant.counts_per_rev)
+    return Both(on_board(plant, modes, duties, pwm), on_host(as_model(plant), start, modes, duties))
