@@ -173,21 +173,16 @@ def _carried() -> Any:
 
 def _any(*kinds: str) -> Any:
     """Whether an effect with a hook of one of these kinds is in the model."""
+    places = tuple(EFFECT_INDEX[item.name] for item in having(*kinds))
 
     @inlined
-    def total(on):  # type: ignore[no-untyped-def]
+    def found(on):  # type: ignore[no-untyped-def]
+        for place in places:
+            if on[place]:
+                return True
         return False
 
-    def link(before: Any, index: int) -> Any:
-        @inlined
-        def chained(on):  # type: ignore[no-untyped-def]
-            return before(on) or on[index]
-
-        return chained
-
-    for item in having(*kinds):
-        total = link(total, EFFECT_INDEX[item.name])
-    return total
+    return found
 
 
 def _sum(a: float, b: float) -> float:
