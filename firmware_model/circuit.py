@@ -15,7 +15,6 @@ from firmware_model.layout import CURRENT, FLOW, MODE, OMEGA, ON, PHASE, THETA, 
 
 R, L, KE, SUPPLY, FAST, DIODE = int(C.R), int(C.L), int(C.KE), int(C.SUPPLY), int(C.FAST), int(C.DIODE)
 STANDBY, DRIVEN = 0, 1
-PERIOD_S = 50e-6  # 20 kHz
 SMALL_A = 1e-6  # a current that has just passed zero in a diode
 
 

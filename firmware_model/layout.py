@@ -54,6 +54,7 @@ class C(IntEnum):
     DIODE = 22  # volts lost in each pair of diodes that carries the current then
     SHARE_LOST = 23
     CHANGED = 24  # 1 once CHANGE_AT has passed; the kernel sets it
+    PERIOD = 25  # of the PWM, s
 
 
-FIRST_EFFECT = 25
+FIRST_EFFECT = 26

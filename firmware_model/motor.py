@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_model.circuit import PERIOD_S
 from firmware_model.errors import FirmwareModelError
 from firmware_model.hooks import HOOKS, offsets, parameter_count, state_count
 from firmware_model.kernel import meters, run, run_many
@@ -59,6 +58,7 @@ def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
     p = np.zeros(parameter_count())
     p[C.R], p[C.L], p[C.KT], p[C.KE] = plant.R_ohm, plant.L_H, plant.Kt_Nm_per_A, plant.Ke_Vs_per_rad
     p[C.J], p[C.B], p[C.COULOMB], p[C.SUPPLY] = plant.J_kgm2, plant.B_Nms, plant.coulomb_Nm, plant.supply_V
+    p[C.PERIOD] = 1.0 / plant.pwm_hz
     p[C.QUANTUM] = 2.0 * math.pi / plant.counts_per_rev
     p[C.STOP] = p[C.CHANGE_AT] = math.inf
     on = np.zeros(len(effects()), np.uint8)
@@ -117,7 +117,7 @@ def is_stiff(plant: Plant, p: FloatArray) -> bool:
             if key.endswith("_Nm")
         )
         fastest += math.sqrt(level / p[C.DEFLECTION] * inverse)
-    return bool(fastest * PERIOD_S > STIFF_RADIANS)
+    return bool(fastest * p[C.PERIOD] > STIFF_RADIANS)
 
 
 class Motor:
@@ -208,12 +208,12 @@ class Motor:
             return float(current), float(volts)
         copies = tuple(array.copy() for array in self._arrays())  # what is looked at goes on undisturbed
         y, p = copies[0], self._p
-        theta, first, mean = y[THETA], y[CURRENT], 0.0
+        theta, first, mean, period = y[THETA], y[CURRENT], 0.0, p[C.PERIOD]
         for _ in range(METER_PARTS):
             before = y[CURRENT]
-            run(*copies, *self._command, PERIOD_S / METER_PARTS)
+            run(*copies, *self._command, period / METER_PARTS)
             mean += 0.5 * (before + y[CURRENT]) / METER_PARTS
-        ramp = (p[C.L] * (y[CURRENT] - first) + p[C.KE] * (y[THETA] - theta)) / PERIOD_S
+        ramp = (p[C.L] * (y[CURRENT] - first) + p[C.KE] * (y[THETA] - theta)) / period
         return float(mean), float(p[C.R] * mean + ramp)
 
     def set_external_torque(self, torque_Nm: float) -> None:

@@ -8,7 +8,7 @@ all).
 
 from __future__ import annotations
 
-from firmware_model.circuit import PERIOD_S, STANDBY
+from firmware_model.circuit import STANDBY
 from firmware_model.compiled import part
 from firmware_model.layout import CURRENT, MODE, OFF, OMEGA, ON, SIDE, THETA, C
 from firmware_model.linear import BUILT
@@ -16,6 +16,7 @@ from firmware_model.segments import BODY, ROWS, TABLE, coefficients, row_of
 
 R, L, KT, KE, B = int(C.R), int(C.L), int(C.KT), int(C.KE), int(C.B)
 J, COULOMB, SUPPLY, EXTERNAL = int(C.J), int(C.COULOMB), int(C.SUPPLY), int(C.EXTERNAL)
+PERIOD = int(C.PERIOD)
 POWERS = TABLE + ROWS
 LEVELS = 8  # up to 128 periods at once; a task step has 100
 WORK_ROWS = POWERS + LEVELS + 2
@@ -61,9 +62,9 @@ def build(w, m, p, duty, share, free):  # type: ignore[no-untyped-def]
     first, second, whole = w[POWERS + LEVELS], w[POWERS + LEVELS + 1], w[POWERS]
     if share > 0.0:
         g2 = (p[SUPPLY] if duty > 0.0 else -p[SUPPLY]) / p[L]
-        map_of(w[row_of(w, ON, share * PERIOD_S, free, body, a11, a12, a21, a22)], g1, g2, first)
+        map_of(w[row_of(w, ON, share * p[PERIOD], free, body, a11, a12, a21, a22)], g1, g2, first)
     if share < 1.0:
-        map_of(w[row_of(w, OFF, (1.0 - share) * PERIOD_S, free, body, a11, a12, a21, a22)], g1, 0.0, second)
+        map_of(w[row_of(w, OFF, (1.0 - share) * p[PERIOD], free, body, a11, a12, a21, a22)], g1, 0.0, second)
     if share <= 0.0:
         for i in range(BUILT):
             whole[i] = second[i]
@@ -91,7 +92,7 @@ def quiet_periods(y, m, p, share, free):  # type: ignore[no-untyped-def]
     elif 2.0 * p[KE] * speed >= p[SUPPLY]:
         return 0.0
     change = (p[KT] * most + 2.0 * p[B] * speed + p[COULOMB] + abs(p[EXTERNAL])) / p[J]
-    return 0.9 * speed / (change * PERIOD_S)
+    return 0.9 * speed / (change * p[PERIOD])
 
 
 @part

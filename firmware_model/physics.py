@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from firmware_model.circuit import DRIVEN, PERIOD_S, STANDBY, phase_electrical
+from firmware_model.circuit import DRIVEN, STANDBY, phase_electrical
 from firmware_model.compiled import part
 from firmware_model.hooks import (
     breakaway,
@@ -46,12 +46,12 @@ R, L, KT, KE, J, B = int(C.R), int(C.L), int(C.KT), int(C.KE), int(C.J), int(C.B
 COULOMB, SUPPLY, EXTERNAL = int(C.COULOMB), int(C.SUPPLY), int(C.EXTERNAL)
 LOAD_J, LOAD_COULOMB, HALF_GAP = int(C.LOAD_J), int(C.LOAD_COULOMB), int(C.HALF_GAP)
 STIFFNESS, DAMPING, DEFLECTION = int(C.STIFFNESS), int(C.DAMPING), int(C.DEFLECTION)
-FAST, DIODE = int(C.FAST), int(C.DIODE)
+FAST, DIODE, PERIOD = int(C.FAST), int(C.DIODE), int(C.PERIOD)
 CEASING = 2
 
 
 @part
-def pulse(duty, on, off, ohms, henry):  # type: ignore[no-untyped-def]
+def pulse(duty, on, off, ohms, henry, period):  # type: ignore[no-untyped-def]
     """Mean current of a winding that gets ``on`` volts for a duty 0..1 of each period and then loses ``off`` volts.
 
     Returns the periodic mean in A and whether the current ceases within the period (discontinuous conduction).
@@ -61,14 +61,14 @@ def pulse(duty, on, off, ohms, henry):  # type: ignore[no-untyped-def]
     if off <= 0.0:
         return (duty * on - (1.0 - duty) * off) / ohms, False
     tau = henry / ohms
-    pulse_s = duty * PERIOD_S
+    pulse_s = duty * period
     up, down = on / ohms, off / ohms
     peak = -up * math.expm1(-pulse_s / tau)
     fall_s = tau * math.log1p(peak / down)
-    if fall_s >= (1.0 - duty) * PERIOD_S:
+    if fall_s >= (1.0 - duty) * period:
         return (duty * on - (1.0 - duty) * off) / ohms, False
     charge = up * pulse_s - tau * peak - down * fall_s + tau * peak
-    return charge / PERIOD_S, True
+    return charge / period, True
 
 
 @part
@@ -86,7 +86,7 @@ def fast_circuit(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def pulses(duty, p, supply, emf, ohms, lost, most):  # type: ignore[no-untyped-def]
     """Fast decay, in the duty's direction: mean current in A if each pulse begins from none, and whether it ceases."""
-    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L])
+    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L], p[PERIOD])
     return min(mean, most), ceases
 
 

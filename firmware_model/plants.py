@@ -35,7 +35,11 @@ OPTIONS = {  # tables of the board: each is there or not
     "thermal_shutdown": thermal.PARAMETERS,
     "faults": faults.PARAMETERS,
 }
-KEYS = (*(q.key for q in MOTOR), *OPTIONS, "name", "source", "counts_per_rev", "pull_ups", "pwm", "effects", "schema")
+PWM_HZ = 20000.0
+KEYS = (
+    *(q.key for q in MOTOR), *OPTIONS,
+    "name", "source", "counts_per_rev", "pull_ups", "pwm", "pwm_hz", "effects", "schema",
+)  # fmt: skip
 PWM = ("averaged", "edge_resolved")
 SCHEMA = "firmware_model.plant/1"
 
@@ -65,6 +69,7 @@ class Plant:
     thermal_shutdown: Mapping[str, Any] | None = None
     faults: Mapping[str, Any] | None = None
     pwm: str = PWM[0]
+    pwm_hz: float = PWM_HZ
 
     def percent_of_torque(self, torque_Nm: float) -> float:
         """The duty in percent whose stall torque balances ``torque_Nm``: 100 T R / (Kt V)."""
@@ -129,6 +134,7 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
     if not isinstance(pull_ups, bool):
         raise FirmwareModelError(f"{where}: pull_ups must be true or false, not {pull_ups!r}")
     pwm = check_pwm(table.get("pwm", PWM[0]), where)
+    pwm_hz = number(table.get("pwm_hz", PWM_HZ), "pwm_hz", where, 10.0, 1e6)
     options: dict[str, Any] = {
         key: parameters(_table(table[key], key, where), wanted, f"{where}, [{key}]")
         for key, wanted in OPTIONS.items()
@@ -152,6 +158,7 @@ def make_plant(table: Mapping[str, Any], name: str) -> Plant:
         effects=chosen,
         pull_ups=pull_ups,
         pwm=pwm,
+        pwm_hz=pwm_hz,
         **options,
         **motor,
     )

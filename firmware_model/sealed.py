@@ -1,8 +1,9 @@
 """A sealed bench: plant, effects and, on request, faults drawn by a seed, told to nobody until it is opened.
 
-The seed is the only link between the functions. Ranges are wide and physically sensible: gain 6 to 16 deg/s per
-percent, time constant 40 to 150 ms, dry friction 1 to 6 percent of full duty, and no effect, one or two of those that
-half a minute of motion can show, from faint to plain.
+The seed and the version of the draws are the only link between the functions. A version is frozen: what it may draw, and
+how, stays as it is, so that a log is unsealed as the bench it was. New effects and other sizes enter a new version.
+Ranges are wide and physically sensible: gain 6 to 16 deg/s per percent, time constant 40 to 150 ms, dry friction 1 to 6
+percent of full duty, and no effect, one or two of those that half a minute of motion can show, from faint to plain.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from firmware_model.errors import FirmwareModelError
 from firmware_model.faults import PARAMETERS as FAULT_KEYS
 from firmware_model.plants import Plant, make_plant
 from firmware_model.registry import effects
@@ -126,6 +128,18 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(35.0, 85.0)},
 }
 
+# The effects of each version, in the order in which they are drawn from.
+VERSIONS: dict[int, tuple[str, ...]] = {
+    1: (
+        "armature_inductance", "asymmetric_coulomb_friction", "asymmetric_deadband", "backlash", "bridge_voltage_drop",
+        "cogging_torque", "constant_load", "current_limit", "direction_dependent_gain", "duty_curve",
+        "encoder_eccentricity", "gravity_load", "input_deadband", "load_dependent_friction",
+        "position_dependent_friction", "quadratic_drag", "static_friction", "stribeck_friction", "supply_sag",
+        "transport_delay", "voltage_saturation",
+    ),
+}  # fmt: skip
+NEWEST = max(VERSIONS)
+
 # What a line and a clock may do, each of it mild enough for a run to go on.
 FAULTS: dict[str, Callable[[random.Random], Values]] = {
     "dropped": lambda r: {"report_drop_ratio": _between(r, 0.001, 0.03)},
@@ -138,20 +152,27 @@ FAULTS: dict[str, Callable[[random.Random], Values]] = {
 }
 
 
-def _names(rng: random.Random) -> tuple[str, ...]:
+def _names(rng: random.Random, version: int) -> tuple[str, ...]:
     """Effects of one bench: none, one, or two that are not alike."""
     (count,) = rng.choices(tuple(SHARES), tuple(SHARES.values()))
     while True:
-        names = tuple(rng.sample(sorted(EFFECTS), count))
+        names = tuple(rng.sample(VERSIONS[version], count))
         if not any(set(names) <= alike for alike in ALIKE) or count < 2:
             return names
 
 
-def draw(seed: int, *, faulty: bool = False) -> Plant:
-    """The sealed plant of this seed, with faults of line and clock where asked for. Its name tells nothing."""
+def draw(seed: int, *, faulty: bool = False, version: int = NEWEST) -> Plant:
+    """The sealed plant of this seed in a version of the draws, with faults of line and clock where asked for. Its name
+    tells nothing. Raises FirmwareModelError for a version that is not known.
+    """
+    if version not in VERSIONS:
+        raise FirmwareModelError(
+            f"version {version} of the sealed draws is not known; there are {', '.join(map(str, VERSIONS))}"
+        )
     rng = random.Random(f"sealed {seed}")
     motor = _motor(rng)
-    plant = make_plant({**motor, "effects": {name: EFFECTS[name](rng, motor) for name in _names(rng)}}, "sealed")
+    chosen = {name: EFFECTS[name](rng, motor) for name in _names(rng, version)}
+    plant = make_plant({**motor, "effects": chosen}, "sealed")
     if not faulty:
         return plant
     rng = random.Random(f"sealed faults {seed}")
@@ -161,13 +182,13 @@ def draw(seed: int, *, faulty: bool = False) -> Plant:
     return replace(plant, faults=make_plant({**motor, "faults": faults}, "sealed").faults)
 
 
-def reveal(seed: int) -> dict[str, Any]:
+def reveal(seed: int, version: int = NEWEST) -> dict[str, Any]:
     """The truth behind a seed: sentences, SI parameters and the same in percent of duty, degrees and seconds.
 
     ``faults`` are those of the same bench drawn with faults.
     """
-    plant = draw(seed)
-    drawn = draw(seed, faulty=True).faults or {}
+    plant = draw(seed, version=version)
+    drawn = draw(seed, faulty=True, version=version).faults or {}
     usual = {q.key: q.choices[0] if q.choices else q.default for q in FAULT_KEYS}
     reduced = plant.reduced()
     linear = reduced["linear"]
@@ -180,6 +201,7 @@ def reveal(seed: int) -> dict[str, Any]:
         sentences.append(f"{name}: {effects()[name].summary} ({values})")
     return {
         "seed": seed,
+        "version": version,
         "name": plant.name,
         "effects": list(plant.effects),
         "truth": sentences,

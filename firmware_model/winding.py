@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from firmware_model.circuit import DRIVEN, PERIOD_S, STANDBY, phase_broken, settle_phase, sign
+from firmware_model.circuit import DRIVEN, STANDBY, phase_broken, settle_phase, sign
 from firmware_model.compiled import part
 from firmware_model.hooks import drop
 from firmware_model.layout import CURRENT, FLOW, MEAN, MODE, OMEGA, PHASE, THETA, C
 from firmware_model.physics import CEASING, fast_circuit, pressure, pulses
 
-L, FAST = int(C.L), int(C.FAST)
+L, FAST, PERIOD = int(C.L), int(C.FAST), int(C.PERIOD)
 SMALL_A = 1e-12
 
 
@@ -30,7 +30,7 @@ def switched(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     if m[FLOW] != CEASING:
         if m[FLOW] * way < 0.0:
             return current > 0.0
-        if current * p[L] > 0.01 * abs(duty) * PERIOD_S * max(supply - lost - emf, 0.0):
+        if current * p[L] > 0.01 * abs(duty) * p[PERIOD] * max(supply - lost - emf, 0.0):
             return False  # more than one pulse alone can give
     mean, ceases = pulses(duty, p, supply, emf, ohms, lost, most)
     if m[FLOW] == CEASING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections import Counter
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 from firmware_model import Board, FirmwareModelError, draw, load_plant, plant_names, reveal
 from firmware_model.plants import make_plant
 from firmware_model.registry import effects
-from firmware_model.sealed import ALIKE, EFFECTS, SHARES
+from firmware_model.sealed import ALIKE, EFFECTS, SHARES, VERSIONS
 
 GOOD = "supply_V = 9.0\nR_ohm = 5.5\nKt_Nm_per_A = 0.34\nKe_Vs_per_rad = 0.487\nJ_kgm2 = 3e-3\n"
 
@@ -106,6 +107,37 @@ def test_sealed_draws_are_wide_repeatable_and_have_no_effect_one_or_two() -> Non
     for count, share in SHARES.items():
         assert counts[count] / 10.0 == pytest.approx(share, abs=5.0)  # of a hundred; five are 3 standard deviations
     assert set(counts) == set(SHARES)
+
+
+def drawn_digest(version: int) -> str:
+    """A fingerprint of the plants of some seeds, to nine digits."""
+    digest = hashlib.sha256()
+    for seed in range(200):
+        plant = draw(seed, faulty=True, version=version)
+        values = [plant.R_ohm, plant.Kt_Nm_per_A, plant.Ke_Vs_per_rad, plant.J_kgm2, plant.coulomb_Nm]
+        told = [f"{v:.9g}" for v in values]
+        for name, inner in [*plant.effects.items(), ("faults", plant.faults or {})]:
+            told += [name, *(f"{k} {v:.9g}" if isinstance(v, float) else f"{k} {v}" for k, v in inner.items())]
+        digest.update(" ".join(told).encode())
+    return digest.hexdigest()[:16]
+
+
+FROZEN = {1: "8cca11828a4834a2"}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_version_of_the_sealed_draws_stays_as_it_was_published(version: int) -> None:
+    assert drawn_digest(version) == FROZEN[version]
+
+
+def test_an_effect_that_becomes_known_changes_no_version_that_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(EFFECTS, "a_new_one", lambda rng, motor: {})
+    assert drawn_digest(1) == FROZEN[1]
+
+
+def test_a_version_that_is_not_known_is_refused() -> None:
+    with pytest.raises(FirmwareModelError, match="there are 1"):
+        draw(1, version=999)
 
 
 def test_sealed_sizes_go_from_faint_to_plain() -> None:

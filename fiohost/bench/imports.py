@@ -55,6 +55,7 @@ class TableMap:
     command_scale: float  # to percent of full scale
     command_unit: str  # unit of the command in the table, for people; "" where not said
     delay_ticks: int
+    pwm_hz: float  # of the bridge, 0 where it is not known
     output_column: str
     unit: str
     average: str
@@ -88,6 +89,7 @@ class TableMap:
         command_scale = _nonzero(command, "scale", command.number("scale", 1.0))
         command_unit = command.text("unit", "")
         delay_ticks = command.integer("delay_ticks", 0, low=0, high=10_000)
+        pwm_hz = command.number("pwm_hz", low=10.0, high=1e6) if "pwm_hz" in command else 0.0
         command.finish()
 
         output_column = output.text("column")
@@ -109,7 +111,7 @@ class TableMap:
         output.finish()
         return cls(
             name, source, time_column, time_scale, sample_time_s, command_column, constant, command_scale, command_unit,
-            delay_ticks, output_column, unit, average, quantum, wrap, common_zero,
+            delay_ticks, pwm_hz, output_column, unit, average, quantum, wrap, common_zero,
         )  # fmt: skip
 
     @property
@@ -183,6 +185,7 @@ def _convert(path: Path, table_map: TableMap) -> tuple[str, str, tuple[str, ...]
         "map": table_map.name,
         "sample_time_s": f"{sample_time_s:.12g}",
         "command_delay_ticks": str(table_map.delay_ticks),
+        "pwm_hz": f"{table_map.pwm_hz:.12g}" if table_map.pwm_hz else "",
         "full_scale": f"{100.0 / abs(table_map.command_scale):.12g}",
         "full_scale_unit": table_map.command_unit,
         "output_quantum": f"{table_map.quantum * table_map.output_factor:.12g}",

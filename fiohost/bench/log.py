@@ -242,6 +242,11 @@ class Log:
         return int(self._number("duty_steps", 0.0, low=0.0, high=1e10, whole=True))
 
     @property
+    def pwm_hz(self) -> float:
+        """Frequency of the bridge's PWM in Hz; 0 where it is not known."""
+        return self._number("pwm_hz", 0.0, low=0.0, high=1e9)
+
+    @property
     def begins_at_rest(self) -> bool | None:
         """Whether the shaft stood still before the first row, for which the bench waits; None where nobody says.
 
@@ -291,7 +296,7 @@ class Log:
                 self._check_range(bit, 0.0, 1.0, whole=True)
         if "pos" in self.columns:
             self._check_range("pos", 0.0, self.counts_per_rev - 1.0, whole=True)
-        _ = self.output_average, self.output_quantum, self.command_delay_ticks
+        _ = self.output_average, self.output_quantum, self.command_delay_ticks, self.pwm_hz
         if len(self) < 2:
             return []
         steps = np.diff(self.time_s) / self.sample_time_s

@@ -62,5 +62,17 @@ def find_seed(seed_or_log: str) -> int:
         raise FiohostError(f"the seal {path} is damaged: {exc}") from exc
 
 
+def find_version(seed_or_log: str) -> int | None:
+    """The version of the draws that a log says; None for a seed, which is then one of the newest. Logs that say none
+    are of the first version. Raises ConfigError, LogError.
+    """
+    if re.fullmatch(r"\d+", seed_or_log):
+        return None
+    said = Log.read(seed_or_log).metadata.get("sealed_version", "1")
+    if not re.fullmatch(r"\d{1,6}", said):
+        raise ConfigError(f"{seed_or_log} says sealed_version = {said[:40]!r}, which is no version")
+    return int(said)
+
+
 def _seal_path(run_id: str) -> Path:
     return state_dir() / "seals" / f"{run_id}.json"

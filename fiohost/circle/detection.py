@@ -14,7 +14,7 @@ from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import pool
 from fiohost.discover.search import Search, declared_alone
 from fiohost.errors import DataError
-from fiohost.estimation.record import record_from_log, with_bench_zero
+from fiohost.estimation.record import pwm_of, record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
@@ -39,7 +39,7 @@ def smallest_visible(
     records = with_bench_zero(
         [record_from_log(log, name) for log, name in zip(sources, unique_names(sources), strict=True)]
     )
-    declared = declared.on_axis(records[0].rotary)
+    declared = declared.on_axis(records[0].rotary).with_pwm(pwm_of(records))
     seconds = sum(r.seconds for r in records)
     with threadpool_limits(limits=1, user_api="blas"):
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")

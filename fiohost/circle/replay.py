@@ -34,7 +34,7 @@ class Replay:
 def replay(log: Log, model: Model) -> Replay:
     """Simulate a model on the commands of a log. Raises ModelError, DataError."""
     record = record_from_log(log)
-    found = judge(record, model.on_axis(record.rotary))
+    found = judge(record, model.on_axis(record.rotary).with_pwm(record.pwm_hz))
     y, start, errors = found.simulated, found.start, found.errors
     if record.unit in LOG_UNIT:
         y = y / MM_PER_M

@@ -31,8 +31,9 @@ def plants(json_to: str | None) -> None:
 
 @click.command()
 @click.argument("seed_or_log")
+@click.option("--version", type=int, metavar="V", help="Version of the draws; by default a log's own, else the newest.")
 @json_option
-def unseal(seed_or_log: str, json_to: str | None) -> None:
+def unseal(seed_or_log: str, version: int | None, json_to: str | None) -> None:
     """Show what a sealed board was: SEED_OR_LOG is its seed, or a log of it made on this machine.
 
     \b
@@ -40,12 +41,12 @@ def unseal(seed_or_log: str, json_to: str | None) -> None:
       fiohost run multisine --target sim:sealed --log secret.csv
       fiohost unseal secret.csv
     """
-    from fiohost.bench.seal import find_seed
+    from fiohost.bench.seal import find_seed, find_version
     from fiohost.transport.instruments import break_seal
 
     out = output_for(json_to)
     seed = find_seed(seed_or_log)
-    truth = break_seal(seed, faulty=True)
+    truth = break_seal(seed, find_version(seed_or_log) if version is None else version, faulty=True)
     sentences = truth.get("truth") or []
     out(f"seed {seed}: {', '.join(truth.get('effects') or []) or 'no effect'}")
     for sentence in sentences:

@@ -85,7 +85,7 @@ def _folder(report: Path | None) -> Path:
 
 def _open_seal(log: Path, target: str) -> dict[str, object]:
     """The truth about a sealed board, from its log: the last thing that is done."""
-    from fiohost.bench.seal import SEALED, find_seed
+    from fiohost.bench.seal import SEALED, find_seed, find_version
     from fiohost.transport.instruments import break_seal
 
-    return break_seal(find_seed(str(log)), faulty=target != SEALED[0])
+    return break_seal(find_seed(str(log)), find_version(str(log)), faulty=target != SEALED[0])

@@ -27,7 +27,7 @@ from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
-from fiohost.estimation.record import ANGLE, Record, with_bench_zero
+from fiohost.estimation.record import ANGLE, Record, pwm_of, with_bench_zero
 from fiohost.motor.model import Model
 
 
@@ -92,7 +92,7 @@ def diagnose_records(
     units = {r.unit for r in (*train, *holdout)}
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
-    train, model = with_bench_zero(train), model.on_axis(train[0].rotary)
+    train, model = with_bench_zero(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
         return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})

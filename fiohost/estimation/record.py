@@ -32,8 +32,9 @@ class Record:
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero. ``weights`` (n) are by what whole runs weigh the readings' errors,
-    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at.
+    where on the bench's turn its angle is zero. ``pwm_hz`` is the frequency of the bridge's PWM, 0 where unknown.
+    ``weights`` (n) are by what whole runs weigh the readings' errors, ``windows`` (m + 1) the edges of one-second
+    windows, of which only ``every`` so many are looked at.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Record:
     at_rest: bool
     rotary: bool
     own_zero: bool = False
+    pwm_hz: float = 0.0
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     every: int = 1
     weights: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -179,7 +181,7 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         kind = MEAN_SPEED
     scale = MM_PER_M if log.output_unit in HELD_IN else 1.0
     y = log.output * scale
-    return make_record(
+    record = make_record(
         name or (log.path.name if log.path else "log"),
         log.time_s,
         acting_duty(log.duty_pct, log.duty_steps),
@@ -195,6 +197,15 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         clock_s=log.bench_time_s,
         at_rest=None if log.begins_at_rest and (len(y) < 2 or y[0] != y[1]) else log.begins_at_rest,
     )
+    return replace(record, pwm_hz=log.pwm_hz)
+
+
+def pwm_of(records: Sequence[Record]) -> float:
+    """The PWM's frequency in Hz that the records share, 0 where none says one. Raises DataError where they differ."""
+    said = sorted({r.pwm_hz for r in records if r.pwm_hz > 0.0})
+    if len(said) > 1:
+        raise DataError(f"the logs are of benches whose PWM differs ({said[0]:g} and {said[-1]:g} Hz); take them apart")
+    return said[0] if said else 0.0
 
 
 def with_bench_zero(records: Sequence[Record]) -> list[Record]:

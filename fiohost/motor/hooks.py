@@ -177,7 +177,7 @@ def _any(*kinds: str) -> Any:
 
     @inlined
     def found(on):  # type: ignore[no-untyped-def]
-        for place in places:
+        for place in places:  # noqa: SIM110 (numba has no any)
             if on[place]:
                 return True
         return False

@@ -17,9 +17,10 @@ import numpy as np
 
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import winding_lag
+from fiohost.motor.events import PLAY, RIGID, SPRING
 from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, winds
 from fiohost.motor.state import HELD, SMALLEST_SHARE, STATE_SIZE
-from fiohost.motor.step import PLAY, RIGID, SPRING, advance
+from fiohost.motor.step import advance
 
 
 @inlined

@@ -28,7 +28,8 @@ class Model:
     """``linear`` plus effects in the order in which they came in.
 
     ``values`` holds every parameter of every effect as ``effect.parameter``; ``fixed`` names those not to be estimated.
-    ``unit`` is what the degrees in parameters' names really are: ``deg``, or ``mm`` on a linear axis.
+    ``unit`` is what the degrees in parameters' names really are: ``deg``, or ``mm`` on a linear axis. ``pwm_hz`` is the
+    frequency of the bridge's PWM, of which the winding's ripple depends.
     """
 
     effects: tuple[str, ...] = ()
@@ -39,6 +40,8 @@ class Model:
 
     def __post_init__(self) -> None:
         given = dict(self.values or {})
+        if not LOWEST_PWM_HZ <= self.pwm_hz <= HIGHEST_PWM_HZ:
+            raise ModelError(f"pwm_hz = {self.pwm_hz:g} is outside {LOWEST_PWM_HZ:g}..{HIGHEST_PWM_HZ:g} Hz")
         if len(set(self.effects)) != len(self.effects):
             twice = next(e for e in self.effects if self.effects.count(e) > 1)
             raise ModelError(f"effect {twice!r} is named twice")
@@ -75,6 +78,7 @@ class Model:
         table = read_toml(path)
         table.schema(SCHEMA)
         unit = table.text("unit", DEGREES, choices=(DEGREES, METRES))
+        pwm_hz = table.number("pwm_hz", PWM_HZ, low=LOWEST_PWM_HZ, high=HIGHEST_PWM_HZ)
         names = table.raw("effects", [])
         if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
             raise table.fail("effects is not a list of names")
@@ -92,8 +96,8 @@ class Model:
             values.update({f"{group}.{key}": value for key, value in inner.items()})
         try:
             if unit == METRES:
-                return cls(tuple(names), _scaled(values, MM_PER_M), frozenset(fixed), MILLIMETRES)
-            return cls(tuple(names), values, frozenset(fixed))
+                return cls(tuple(names), _scaled(values, MM_PER_M), frozenset(fixed), MILLIMETRES, pwm_hz)
+            return cls(tuple(names), values, frozenset(fixed), pwm_hz=pwm_hz)
         except FiohostError as exc:
             raise ConfigError(f"{path}: {exc}") from exc
 
@@ -104,6 +108,7 @@ class Model:
         lines += [f'schema = "{SCHEMA}"', f"effects = [{quoted}]"]
         linear = self.unit == MILLIMETRES
         lines += [f'unit = "{METRES}"'] if linear else []
+        lines += [f"pwm_hz = {self.pwm_hz!r}"] if self.pwm_hz != PWM_HZ else []
         lines += ["", "[parameters]"]
         for key, value in (_scaled(self.values, 1.0 / MM_PER_M) if linear else self.values).items():
             lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
@@ -126,6 +131,12 @@ class Model:
             raise ModelError("the model is one of a linear axis (its unit is the metre), but the logs measure an angle")
         given = {k: v for k, v in self.values.items() if v != self.parameter(k).start}
         return replace(self, values={**self.values, **_scaled(given, MM_PER_M)}, unit=MILLIMETRES)
+
+    def with_pwm(self, pwm_hz: float) -> Model:
+        """The model on a bridge with this frequency of its PWM; as it is for 0. Raises ModelError out of range."""
+        if pwm_hz == 0.0 or pwm_hz == self.pwm_hz:
+            return self
+        return replace(self, pwm_hz=pwm_hz)
 
     @property
     def given(self) -> bool:
@@ -180,6 +191,7 @@ class Model:
             values={k: v for k, v in self.values.items() if k.partition(".")[0] not in gone},
             fixed=frozenset(k for k in self.fixed if k.partition(".")[0] not in gone),
             unit=self.unit,
+            pwm_hz=self.pwm_hz,
         )
 
     def switches(self) -> np.ndarray:

@@ -98,14 +98,18 @@ class Instruments:
             raise ConfigError(str(exc)) from exc
 
 
-def break_seal(seed: int, *, faulty: bool = False) -> dict[str, Any]:
+def break_seal(seed: int, version: int | None = None, *, faulty: bool = False) -> dict[str, Any]:
     """The truth about the sealed board that *seed* draws: plant, effects, parameters in SI and in reduced form.
 
-    *faulty*: with the faults of the same board as ``sim:sealed-faulty``.
+    *version* is that of the draws, None for the newest; *faulty*: with the faults of the same board as
+    ``sim:sealed-faulty``. Raises ConfigError for a version that is not known.
     """
-    from firmware_model import reveal
+    from firmware_model import FirmwareModelError, reveal
 
-    truth = dict(reveal(seed))
+    try:
+        truth = dict(reveal(seed) if version is None else reveal(seed, version))
+    except FirmwareModelError as exc:
+        raise ConfigError(str(exc)) from exc
     if not faulty:
         del truth["faults"]
     return truth

@@ -1,7 +1,7 @@
 """A simulated board in this process, in lock step: each ``receive`` is one task step of the firmware model.
 
-Only report bytes cross this line. What the board is made of stays behind it; a sealed board's facts are empty, so that
-no log of it says more than its wire.
+Only report bytes cross this line. What the board is made of stays behind it; of a sealed board nothing is told but the
+version of its draws, so that its logs tell nothing either.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAU
     except FirmwareModelError as exc:
         raise ConfigError(str(exc)) from exc
     name = f"sim:{plant_name}" if plant_name else "sim"
-    facts = {"plant": plant.name, "supply_V": f"{plant.supply_V:g}"}
+    facts = {"plant": plant.name, "supply_V": f"{plant.supply_V:g}", "pwm_hz": f"{plant.pwm_hz:g}"}
     transport = SimulatedTransport(_line(board, plant, seed), name, "simulated", facts, plant.counts_per_rev)
     _boards[transport] = board
     return transport
@@ -92,11 +92,13 @@ def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAU
 def sealed_board(seed: int, *, faulty: bool = False, layout: str = DEFAULT_BOARD_LAYOUT) -> SimulatedTransport:
     """A board whose plant, effects and, where asked for, faults are drawn by *seed* and told to nobody."""
     from firmware_model import draw
+    from firmware_model.sealed import NEWEST
 
     plant = draw(seed, faulty=faulty)
     step = _line(_board(plant, seed, layout), plant, seed)
     name = "sim:sealed-faulty" if faulty else "sim:sealed"
-    return SimulatedTransport(step, name, "simulated, sealed", counts_per_rev=plant.counts_per_rev)
+    facts = {"sealed_version": str(NEWEST)}
+    return SimulatedTransport(step, name, "simulated, sealed", facts, plant.counts_per_rev)
 
 
 def _board(plant: Plant, seed: int, layout: str) -> Board:

@@ -1,6 +1,6 @@
 """The bridge is open, not shorted, between the pulses: the current runs down through the diodes against the supply.
 
-Averaged over a 20 kHz period. While the current never ceases the mean voltage is (2 duty - 1) supply; where it ceases
+Averaged over a PWM period. While the current never ceases the mean voltage is (2 duty - 1) supply; where it ceases
 within a period its mean follows from that period alone, in closed form, with the winding's exponentials.
 """
 
