@@ -47,7 +47,7 @@ from firmware_model.registry import effects, index_of
 FloatArray = npt.NDArray[np.float64]
 
 # A winding faster than this is better described by none (L_H = 0): the integration would only creep.
-FASTEST_WINDING_S = 2e-5
+FASTEST_WINDING_S = 9e-6
 # Of the fastest motion in one PWM period; the steps' error in its frequency is a 24th of the square.
 STIFF_RADIANS = 0.03
 METER_PARTS = 40  # of a PWM period

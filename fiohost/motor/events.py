@@ -36,11 +36,11 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
     """How far the end of a step is from the nearest event (below 0: beyond it), and which."""
     turn, w, i, s, v = end
     omega, amps, _, _ = motion
-    _, force, beyond = forces
-    _, _, own, other, stiff, _, half_gap = bodies
-    joined, sprung, stuck, stuck_load, _, lag, _, contact = regime
+    volts, force, beyond = forces
+    gain, _, own, other, stiff, _, half_gap = bodies
+    joined, sprung, stuck, stuck_load, emf, lag, _, contact = regime
     until, way, lossy = current
-    kind, load_at, direction, hold, rest, bristled, ending = place
+    kind, load_at, direction, hold, harder, rest, bristled, ending = place
     found, event = inf, REST
     if omega != 0.0 and not stuck:
         found = w * direction
@@ -49,12 +49,14 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
         if there < found:
             found, event = there, END
     if kind == PLAY and not joined:
-        gap = half_gap - abs(s)
+        gap = half_gap * (1.0 + ALIKE) - abs(s)  # rounding alone is no touch
         if gap < found and (w - v) * s > 0.0:
             found, event = gap, TOUCH
     elif kind == PLAY and not stuck:
-        apart = contact * ((i + force) / own - beyond / other)
-        if apart < found and apart < -ALIKE * (abs(force) / own + abs(beyond) / other):
+        # What is taken at the step's middle may have them apart at its beginning: then the next step begins with that.
+        began = amps if lag > 0.0 else volts - (omega / gain if emf else 0.0)
+        apart, tiny = contact * ((i + force) / own - beyond / other), ALIKE * (abs(force) / own + abs(beyond) / other)
+        if apart < min(found, -tiny) and contact * ((began + force) / own - beyond / other) > -tiny:
             found, event = apart, PARTING
     elif kind == SPRING and half_gap > 0.0:
         if sprung:
@@ -69,8 +71,9 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
         pull = i + rest + (beyond if joined else 0.0)
         if sprung:
             pull -= strain_of(s, w - v, contact, bodies)
-        if hold - abs(pull) < found and not (joined and ending and barred((load_at, sign(pull)), p, on)):
-            found, event = hold - abs(pull), RELEASE
+        holds = hold + harder * (i - amps) - abs(pull)
+        if holds < found and not (joined and ending and barred((load_at, sign(pull)), p, on)):
+            found, event = holds, RELEASE
     if stuck_load and sprung:
         pull = beyond + strain_of(s, w - v, contact, bodies)
         if -abs(pull) < found and not barred((load_at, sign(pull)), p, on):

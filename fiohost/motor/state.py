@@ -32,4 +32,4 @@ SHARE = GAP + 2
 STOP_ON, STOP = EFFECT_INDEX["hard_stop"], layout()["hard_stop"]
 
 SMALLEST_SHARE = 0.01
-SMALLEST_LAG_S = 2e-5
+SMALLEST_LAG_S = 9e-6

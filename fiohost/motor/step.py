@@ -8,7 +8,7 @@ whether the current lags. A step ends where a margin that is positive within the
 
 from __future__ import annotations
 
-from math import inf, isnan
+from math import expm1, inf, isnan
 
 from fiohost.motor.compiled import inlined, sign
 from fiohost.motor.electrics import loses, winding
@@ -78,7 +78,7 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
         mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
     remembering, ending, lossy = remembers(on), ends(on), loses(mode, p, on)
     left, released = span, False
-    for _ in range(MOST_STEPS):
+    for k in range(MOST_STEPS):
         if left <= 0.0:
             break
         theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
@@ -89,7 +89,7 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
         load_omega = omega if joined else x[LOAD_OMEGA]
         load_at = theta if kind == RIGID else x[LOAD_THETA]
         twist = theta - load_at
-        dt = min(left, substep) if substep > 0.0 else left
+        dt = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
         if kind == PLAY and not joined:
             dt = min(dt, OPEN_GAP_S)
         if kind == SPRING and half_gap > 0.0 and contact == 0.0:
@@ -98,6 +98,7 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
 
         at, shift, free, way, settled = time, 0, -1, 0.0, x[HELD] != 0.0
         direction, stuck, stuck_load, parts, hold, rest = sign(omega), False, False, False, 0.0, 0.0
+        harder = 0.0
         turn, w, i, s, v, h, push = 0.0, omega, amps, twist, load_omega, 0.0, 0.0
         motion, forces = (omega, amps, twist, load_omega), (0.0, 0.0, 0.0)
         regime = (joined, sprung, False, False, True, 0.0, 1.0, contact)
@@ -109,6 +110,10 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
             if middle == 0 and free != 1:
                 amps, settled = push, free == 2
                 motion = (omega, amps, twist, load_omega)
+            elif middle == 1 and free == 1:
+                # What depends on the current meets its mean: it may settle within a small part of the step.
+                tends = (volts - w / gain) / ohms
+                push = tends - (amps - tends) * expm1(-dt * ohms / lag) * lag / (dt * ohms)
             q = theta + turn
             rest = torque((q, w, at), p, on)
             beyond = load((q - s, v, at), p, on)
@@ -143,6 +148,8 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
                 elif not joined and ending and load_omega == 0.0:
                     pull = beyond + (strain_of(twist, omega, contact, bodies) if sprung else 0.0)
                     stuck_load = barred((load_at, sign(pull)), p, on)
+            elif stuck and i != amps:
+                harder = (level + breakaway((), p, on) - hold) / (i - amps)  # friction that grows with the current
             forces = (volts, rest - (level * slack if bristled else level * direction), beyond)
             emf, lags = free == 1 or mode != STANDBY, lag if free == 1 else 0.0
             regime = (joined, sprung, stuck, stuck_load, emf, lags, ohms, contact)
@@ -171,14 +178,14 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
             stuck = True
             regime = (joined, sprung, True, stuck_load, regime[4], regime[5], regime[6], contact)
             end = flow(motion, forces, bodies, regime, h, x, WHOLE)
-        place = (kind, load_at, direction, hold, rest, bristled, ending)
+        place = (kind, load_at, direction, hold, harder, rest, bristled, ending)
         found, event = judge(end, motion, forces, bodies, regime, current, place, p, on)
-        happens = found < 0.0
+        happens = found < 0.0 and k < MOST_STEPS - 1  # no time is lost, whatever absurd constants do
         if happens:
             end, h, event = locate(end, found, event, h, motion, forces, bodies, regime, current, place, x, p, on)
         turn, w, i, s, v = end
         if remembering:
-            carry(x, 0, turn / h if h > 0.0 else 0.0, 0.5 * (amps + i) if free == 1 else push, h, p, on)
+            carry(x, 0, turn / h if h > 0.0 else 0.0, push, h, p, on)
         theta += turn
         load_theta = theta - s
         released = False
