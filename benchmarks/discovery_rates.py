@@ -14,6 +14,8 @@ from rows import filled, programs
 
 Test = Callable[[Row], bool]
 LOOSER = {"presliding_friction"}
+# A size is right within its interval, or so near the truth.
+SIZE_NEAR = 0.1
 
 
 def wilson(hits: int, total: int) -> str:
@@ -31,6 +33,29 @@ def wilson(hits: int, total: int) -> str:
 def first_right(row: Row) -> bool:
     """The first name is a truth, or exactly equivalent to one."""
     return bool(row["named"]) and any(same(row["named"][0], t) for t in row["truth"])
+
+
+def sized(row: Row) -> bool:
+    """The first name is a truth, and its parameters are those of the truth: numbers within their intervals or 10 %, a
+    phase within a tenth of a turn, and words alike. Of exact equivalents the other's numbers cannot be compared.
+    """
+    name = row["named"][0] if row["named"] else ""
+    if name not in row["truth"]:
+        return False
+    for key, truth in row["reduced"].get(name, {}).items():
+        said = row["model"].get(f"{name}.{key}")
+        if isinstance(truth, str) or isinstance(said, str) or said is None:
+            if said is not None and said != truth:
+                return False
+            continue
+        low, high = row["intervals"].get(f"{name}.{key}") or (None, None)
+        if key.endswith("phase_deg"):
+            near = abs((said - truth + 180.0) % 360.0 - 180.0) <= 360.0 * SIZE_NEAR
+        else:
+            near = abs(said - truth) <= SIZE_NEAR * abs(truth)
+        if not near and not (low is not None and high is not None and low <= truth <= high):
+            return False
+    return True
 
 
 def in_set(row: Row) -> bool:
@@ -125,6 +150,11 @@ def _wrongly_named(row: Row) -> bool:
     return row["verdict"] == "unexplained" and bool(row["named"])
 
 
+def _comparable(row: Row) -> bool:
+    """Whether a size can be compared: not where an exact equivalent was named, whose numbers mean other things."""
+    return not first_right(row) or row["named"][0] in row["truth"]
+
+
 def figures(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     """What is asked, what was asked for, what was seen."""
     rows = [r for r in rows if r.get("drawn")]
@@ -143,6 +173,8 @@ def figures(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     return [
         ("first name right, clear", "92 % (97)", share(kind["clear"], first_right)),
         ("first name right, faint", "80 % (90)", share(kind["faint"], first_right)),
+        ("first name right and its size, clear", "", share([r for r in kind["clear"] if _comparable(r)], sized)),
+        ("first name right and its size, faint", "", share([r for r in kind["faint"] if _comparable(r)], sized)),
         ("truth in the named set", "97 % (99)", share(single, in_set)),
         ("mean size of the set, equivalents as one", "1.5 (1.2)", f"{statistics.mean(sizes):.2f}" if sizes else "none"),
         ("more effects named than there are", "", share(single, lambda r: len(r["named"]) > 1)),

@@ -1,7 +1,7 @@
 """A sealed bench: plant, effects and, on request, faults drawn by a seed, told to nobody until it is opened.
 
-The seed and the version of the draws are the only link between the functions. A version is frozen: what it may draw, and
-how, stays as it is, so that a log is unsealed as the bench it was. New effects and other sizes enter a new version.
+The seed and the version of the draws are the only link between the functions. A version is frozen: what it may draw,
+and how, stays as it is, so that a log is unsealed as the bench it was. New effects and other sizes enter a new version.
 Ranges are wide and physically sensible: gain 6 to 16 deg/s per percent, time constant 40 to 150 ms, dry friction 1 to 6
 percent of full duty, and no effect, one or two of those that half a minute of motion can show, from faint to plain.
 """

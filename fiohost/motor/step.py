@@ -194,8 +194,11 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
                 w = 0.0
                 v = 0.0 if joined else v
             elif event == END:
+                came = sign(v)
                 load_theta, v = jumped(load_theta, v, p, on)
-                if joined:
+                if kind == PLAY and joined and contact != came:
+                    contact = 0.0  # a motor that pushes it stops with it, one that held it back goes on
+                elif joined:
                     theta, w = load_theta + s, v
             elif event == TOUCH:
                 contact = sign(s)
