@@ -14,6 +14,7 @@ import json
 import multiprocessing
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def page(rows: list[dict[str, Any]]) -> str:
         lines.append(f"| {name} | {len(runs)} | {sum(r['agrees'] for r in runs)} | {sum(r['chaotic'] for r in runs)} |")
     calm = sorted(r["whole_deg"] for row in rows for r in row["runs"] if not r["chaotic"])
     text = HEAD.format(
-        rule=RULE, commit=f"commit {commit}", runs=sum(len(row["runs"]) for row in rows), span=SPAN_S,
+        rule=textwrap.fill(RULE, 120), commit=f"commit {commit}", runs=sum(len(row["runs"]) for row in rows), span=SPAN_S,
         last=max(len(row["runs"]) for row in rows) - 1, summary="\n".join(lines), median=calm[len(calm) // 2],
         most=calm[int(0.95 * len(calm))],
     )  # fmt: skip
