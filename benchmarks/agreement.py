@@ -79,7 +79,8 @@ def page(rows: list[dict[str, Any]]) -> str:
         lines.append(f"| {name} | {len(runs)} | {sum(r['agrees'] for r in runs)} | {sum(r['chaotic'] for r in runs)} |")
     calm = sorted(r["whole_deg"] for row in rows for r in row["runs"] if not r["chaotic"])
     text = HEAD.format(
-        rule=textwrap.fill(RULE, 120), commit=f"commit {commit}", runs=sum(len(row["runs"]) for row in rows), span=SPAN_S,
+        rule=textwrap.fill(RULE, 120), commit=f"commit {commit}", span=SPAN_S,
+        runs=sum(len(row["runs"]) for row in rows),
         last=max(len(row["runs"]) for row in rows) - 1, summary="\n".join(lines), median=calm[len(calm) // 2],
         most=calm[int(0.95 * len(calm))],
     )  # fmt: skip

@@ -120,7 +120,9 @@ DRAWS: Mapping[str, Callable[[random.Random, Values], Values]] = {
         "extra_Nm": between(r, 0.005, 0.04) * stall(m), "stribeck_speed_rad_s": between(r, 0.3, 4.0),
     },
     "supply_drift": lambda r, m: {"drift_per_s": _sign(r) * between(r, 2e-4, 2e-3)},
-    "supply_sag": lambda r, m: {"source_ohm": between(r, 0.03, 0.4) * m["R_ohm"]},
+    "supply_sag": lambda r, m: {
+        "source_ohm": between(r, 0.03, 0.4) * m["R_ohm"], "smoothing": r.choice(("capacitor", "none")),
+    },
     "transport_delay": lambda r, m: {"delay_s": between(r, 0.0005, 0.03)},
     "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(30.0, 90.0)},
 }  # fmt: skip

@@ -149,7 +149,7 @@ def test_what_a_plant_has_in_si_is_in_percent_degrees_and_seconds_what_the_formu
         "static_friction": {"extra_pct": 2.0},
         "stribeck_friction": {"extra_pct": 1.0, "stribeck_speed_deg_s": 180.0},
         "supply_drift": {"pct_per_100_s": 1.0},
-        "supply_sag": {"ratio": 0.2},
+        "supply_sag": {"ratio": 0.2, "smoothing": "capacitor"},
     }  # fmt: skip
     assert reduced.keys() == expected.keys()
     for name, values in expected.items():

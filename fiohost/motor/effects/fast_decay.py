@@ -17,7 +17,7 @@ EFFECTS = (
         substep_s=0.00125,
         commonness=4,
         signature="starts only near half duty, then steep",
-        parameters=(Parameter("electrical_tau_s", "s", 0.001, 5e-5, 0.1, neutral=None, step=1e-3, relative_step=True),),
+        parameters=(Parameter("electrical_tau_s", "s", 0.001, 1e-5, 0.1, neutral=None, step=1e-3, relative_step=True),),
         trials=({"electrical_tau_s": 0.0003}, {"electrical_tau_s": 0.001}, {"electrical_tau_s": 0.004}),
         source="Erickson and Maksimovic, Fundamentals of Power Electronics, discontinuous conduction mode",
         opens=True,
