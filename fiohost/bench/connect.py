@@ -146,10 +146,11 @@ def _simulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str)
     from fiohost.transport.simulated import plant_board, sealed_board
 
     if f"sim:{rest}" not in SEALED:
-        return plant_board(rest, seed, layout=profile.board_layout)
+        return plant_board(rest, seed, layout=profile.board_layout, duty_steps=profile.duty_steps)
     drawn = draw_seed() if seed is None else seed
     store_seed(run_id, drawn)
-    return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0], layout=profile.board_layout)
+    faulty = f"sim:{rest}" != SEALED[0]
+    return sealed_board(drawn, faulty=faulty, layout=profile.board_layout, duty_steps=profile.duty_steps)
 
 
 def _serial(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
