@@ -16,13 +16,14 @@ from fiohost.transport.profile import DEFAULT_BOARD_LAYOUT
 
 if TYPE_CHECKING:
     from firmware_model import Board, Plant
+    from firmware_model.emulated.board import EmulatedBoard
 
 DEFAULT_PLANT = "default"
 
 Step = Callable[[bytes | None], bytes | list[bytes]]
 
 # For the lab's instruments alone: the boards behind open plants. A sealed one has no meters.
-_boards: WeakKeyDictionary[Transport, Board] = WeakKeyDictionary()
+_boards: WeakKeyDictionary[Transport, Board | EmulatedBoard] = WeakKeyDictionary()
 
 
 class SimulatedTransport(Transport):

@@ -118,7 +118,7 @@ class Atmega328p:
         control_a, control_b = self.peek(TCCR1A), self.peek(TCCR1B)
         modes = control_b & (WGM13 | WGM12), control_a & 3, control_b & 7, mode
         if modes != (WGM13 | WGM12, WGM11, 1, 2):
-            raise FirmwareModelError(f"Timer1 is in a mode that the model does not know: {control_a:02x} {control_b:02x}")
+            raise FirmwareModelError(f"Timer1 is in a mode that is not modelled: {control_a:02x} {control_b:02x}")
         return Level(min(self._u16(compare), self._u16(ICR1)) + 1, self._u16(ICR1) + 1)
 
     def put_edges(self, edges: Sequence[Edge]) -> None:
