@@ -1,0 +1,143 @@
+"""Emulated boards as targets: each row of a run within one count of the simulated board's at equal duty steps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from emulators import BOARDS, DUTY_STEPS, ROOT, emulator
+
+import fiohost
+from fiohost.bench.log import Log
+from fiohost.bench.seal import is_faulty, is_sealed
+from fiohost.cli.main import cli
+from fiohost.errors import ConfigError
+from fiohost.transport.instruments import Instruments
+
+CLOSED = "square_170_190"
+EACH = pytest.mark.parametrize("name", BOARDS)
+
+
+def simulated(name: str, folder: Path) -> str:
+    """A target: the simulated board with as many duty steps, speaking framed reports."""
+    text = (ROOT / "configs" / "targets" / "sim-framed.toml").read_text(encoding="utf-8")
+    path = folder / f"sim-{name}.toml"
+    path.write_text(text.replace("duty_steps = 3600", f"duty_steps = {DUTY_STEPS[name]}"), encoding="utf-8")
+    return str(path)
+
+
+def off_by(a: Log, b: Log) -> tuple[int, int]:
+    """The largest difference in counts of all rows, and how many rows differ in their direction bit."""
+    assert len(a) == len(b)
+    assert np.allclose(a.time_s, b.time_s)
+    for column in ("duty_pct", "c3", "c4"):
+        assert np.array_equal(a.columns[column], b.columns[column]), column
+    turned = (a.columns["pos"] - b.columns["pos"] + 360) % 720 - 360
+    return int(np.max(np.abs(turned))), int(np.sum(a.columns["direction"] != b.columns["direction"]))
+
+
+def both(name: str, folder: Path, experiment: str, plant: str) -> tuple[int, int, int]:
+    logs = []
+    for target in (f"emulated:{name}:{plant}", f"{simulated(name, folder)}:{plant}"):
+        with fiohost.connect(target) as bench:
+            logs.append(bench.run(experiment) if experiment else bench.drive(40.0, 20.0))
+    return (*off_by(*logs), len(logs[0]))
+
+
+@EACH
+@pytest.mark.parametrize(("experiment", "plant"), [("", "default"), ("", "ideal"), ("random_steps", "default")])
+def test_open_loop_rows_are_within_a_count_of_the_simulated_board(
+    name: str, experiment: str, plant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    emulator(name)
+    counts, directions, rows = both(name, tmp_path, experiment, plant)
+    with capsys.disabled():
+        print(f"\n{name}, {experiment or 'manual 40 %'}, {plant}: {rows} rows within {counts} count")
+    assert rows >= 4000
+    assert counts <= 1
+    assert directions <= rows // 200  # the bit of the last edge, where one board saw it a row earlier
+
+
+@EACH
+def test_a_closed_loop_runs_on_machine_code_as_on_the_simulated_board(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The loop's own answer to a count is part of the run, so that not the rows but where they go is compared."""
+    emulator(name)
+    logs = []
+    for target in (f"emulated:{name}", simulated(name, tmp_path)):
+        with fiohost.connect(target) as bench:
+            logs.append(bench.run(CLOSED))
+    far = np.max(np.abs(logs[0].output - logs[1].output)) * 2.0  # counts
+    with capsys.disabled():
+        print(f"\n{name}, {CLOSED}: {len(logs[0])} rows within {far:.0f} count")
+    assert len(logs[0]) == len(logs[1]) > 100
+    assert far <= 1.0
+
+
+@EACH
+def test_deadband_finds_the_same_edges(name: str, tmp_path: Path) -> None:
+    emulator(name)
+    found = []
+    for target in (f"emulated:{name}", simulated(name, tmp_path)):
+        to = tmp_path / "deadband.json"
+        words = ["deadband", "--target", target, "--repeats", "1", "--json", str(to), "--plot", str(tmp_path / "d.png")]
+        done = CliRunner().invoke(cli, words)
+        assert done.exit_code == 0, done.output
+        found.append(json.loads(to.read_text()))
+    for key in ("u_plus_pct", "u_minus_pct"):
+        values = [one[key]["mean"] if isinstance(one[key], dict) else one[key] for one in found]
+        assert values[0] == pytest.approx(values[1], abs=100.0 / DUTY_STEPS[name]), key
+
+
+@EACH
+def test_doctor_recognises_the_board(name: str) -> None:
+    emulator(name)
+    words = ["doctor", "--target", f"emulated:{name}", "--seconds", "0.2"]
+    said = CliRunner().invoke(cli, words).output
+    assert f"the board is {name!r}, firmware 0.1.0, bridge tb6612: {DUTY_STEPS[name]} duty steps" in said
+    assert "it brakes 100 ms after the last command" in said
+
+
+def test_a_sealed_plant_shows_nothing_but_its_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    emulator("uno")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with fiohost.connect("emulated:uno:sealed", seed=280) as bench:
+        log = bench.drive(50.0, 0.2)
+        assert "plant" not in log.metadata
+        with pytest.raises(ConfigError, match="sealed"):
+            Instruments.of(bench)
+    assert is_sealed(log.metadata["target"])
+    assert not is_faulty(log.metadata["target"])
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        ("emulated", "needs a board"),
+        ("emulated:un", "did you mean 'uno'"),
+        ("emulated:uno-l298", "did you mean 'l298n'"),
+        ("emulated:uno:nonesuch", "no plant named 'nonesuch'"),
+    ],
+)
+def test_what_cannot_be_emulated_is_refused_in_one_sentence(target: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        fiohost.connect(target)
+
+
+def test_without_its_emulator_a_board_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "unicorn", None)
+    with pytest.raises(ConfigError, match="pip install unicorn"):
+        fiohost.connect("emulated:bluepill")
+    from firmware_model.emulated import avr
+
+    avr.library.cache_clear()
+    monkeypatch.setattr(avr.shutil, "which", lambda name: None)
+    with pytest.raises(ConfigError, match="libsimavr-dev"):
+        fiohost.connect("emulated:uno")
+    avr.library.cache_clear()
