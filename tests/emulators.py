@@ -46,21 +46,21 @@ def emulator(board: str) -> None:
         absent("no unicorn (pip install unicorn)")
 
 
-def chip(name: str):  # type: ignore[no-untyped-def]
-    """The emulated chip of a board, or of a board and a bridge, with its program."""
-    image = find_image(name)
-    emulator(image.board.name)
-    if image.board.name == "uno":
+def chip(name: str, image: Path | None = None):  # type: ignore[no-untyped-def]
+    """The emulated chip of a board, or of a board and a bridge, with its program or another *image*."""
+    found = find_image(name)
+    emulator(found.board.name)
+    if found.board.name == "uno":
         from firmware_model.emulated.avr import Atmega328p
 
-        return Atmega328p(image.hex_path)
+        return Atmega328p(image or found.hex_path)
     from firmware_model.emulated.arm import Stm32
 
-    return Stm32(image.hex_path)
+    return Stm32(image or found.hex_path)
 
 
-def board(name: str, plant: str | Plant = "ideal") -> EmulatedBoard:
+def board(name: str, plant: str | Plant = "ideal", *, image: Path | None = None) -> EmulatedBoard:
     """An emulated board with its motor."""
-    image = find_image(name)
+    found = find_image(name)
     motor = load_plant(plant) if isinstance(plant, str) else plant
-    return EmulatedBoard(chip(name), motor, image.board.name, image.bridge)
+    return EmulatedBoard(chip(name, image), motor, found.board.name, found.bridge)

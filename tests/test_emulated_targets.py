@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -50,12 +51,11 @@ def both(name: str, folder: Path, experiment: str, plant: str) -> tuple[int, int
 @EACH
 @pytest.mark.parametrize(("experiment", "plant"), [("", "default"), ("", "ideal"), ("random_steps", "default")])
 def test_open_loop_rows_are_within_a_count_of_the_simulated_board(
-    name: str, experiment: str, plant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, experiment: str, plant: str, tmp_path: Path, measured: Callable[[str], None]
 ) -> None:
     emulator(name)
     counts, directions, rows = both(name, tmp_path, experiment, plant)
-    with capsys.disabled():
-        print(f"\n{name}, {experiment or 'manual 40 %'}, {plant}: {rows} rows within {counts} count")
+    measured(f"{name}, {experiment or 'manual 40 %'}, {plant}: {rows} rows within {counts} count")
     assert rows >= 4000
     assert counts <= 1
     assert directions <= rows // 200  # the bit of the last edge, where one board saw it a row earlier
@@ -63,7 +63,7 @@ def test_open_loop_rows_are_within_a_count_of_the_simulated_board(
 
 @EACH
 def test_a_closed_loop_runs_on_machine_code_as_on_the_simulated_board(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, measured: Callable[[str], None]
 ) -> None:
     """The loop's own answer to a count is part of the run, so that not the rows but where they go is compared."""
     emulator(name)
@@ -72,8 +72,7 @@ def test_a_closed_loop_runs_on_machine_code_as_on_the_simulated_board(
         with fiohost.connect(target) as bench:
             logs.append(bench.run(CLOSED))
     far = np.max(np.abs(logs[0].output - logs[1].output)) * 2.0  # counts
-    with capsys.disabled():
-        print(f"\n{name}, {CLOSED}: {len(logs[0])} rows within {far:.0f} count")
+    measured(f"{name}, {CLOSED}: {len(logs[0])} rows within {far:.0f} count")
     assert len(logs[0]) == len(logs[1]) > 100
     assert far <= 1.0
 
