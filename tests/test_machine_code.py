@@ -253,7 +253,8 @@ def test_the_unos_task_and_its_interrupts_are_short(measured: Callable[[str], No
     for k in range(200):
         emulated.step(told(90.0 - k / 3, k) + QUERY * (k % 7 == 0))
     stats = emulated.chip.stats()
-    measured(f"uno: task {plain} cycles of 80000 at most, {stats['task_cycles']} with an answer; interrupts off {stats['dark_cycles']}")
+    task, dark = stats["task_cycles"], stats["dark_cycles"]
+    measured(f"uno: task {plain} cycles of 80000 at most, {task} with an answer; interrupts off {dark} at most")
     assert stats["tasks"] >= 400
     assert stats["bytes_overrun"] == 0
     assert stats["task_cycles"] < 8000  # a tenth of the step
