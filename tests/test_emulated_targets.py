@@ -26,7 +26,8 @@ def simulated(name: str, folder: Path) -> str:
     """A target: the simulated board with as many duty steps, speaking framed reports."""
     text = (ROOT / "configs" / "targets" / "sim-framed.toml").read_text(encoding="utf-8")
     path = folder / f"sim-{name}.toml"
-    path.write_text(text.replace("duty_steps = 3600", f"duty_steps = {DUTY_STEPS[name]}"), encoding="utf-8")
+    steps = DUTY_STEPS[name.partition("-")[0]]
+    path.write_text(text.replace("duty_steps = 3600", f"duty_steps = {steps}"), encoding="utf-8")
     return str(path)
 
 
@@ -40,11 +41,11 @@ def off_by(a: Log, b: Log) -> tuple[int, int]:
     return int(np.max(np.abs(turned))), int(np.sum(a.columns["direction"] != b.columns["direction"]))
 
 
-def both(name: str, folder: Path, experiment: str, plant: str) -> tuple[int, int, int]:
+def both(name: str, folder: Path, experiment: str, plant: str, duty_pct: float = 40.0) -> tuple[int, int, int]:
     logs = []
     for target in (f"emulated:{name}:{plant}", f"{simulated(name, folder)}:{plant}"):
         with fiohost.connect(target) as bench:
-            logs.append(bench.run(experiment) if experiment else bench.drive(40.0, 20.0))
+            logs.append(bench.run(experiment) if experiment else bench.drive(duty_pct, 20.0))
     return (*off_by(*logs), len(logs[0]))
 
 
@@ -59,6 +60,22 @@ def test_open_loop_rows_are_within_a_count_of_the_simulated_board(
     assert rows >= 4000
     assert counts <= 1
     assert directions <= rows // 200  # the bit of the last edge, where one board saw it a row earlier
+
+
+@pytest.mark.parametrize("name", ["uno-l298n", "bluepill-drv8833"])
+def test_other_bridges_drive_the_same_motor_the_same_way(name: str, tmp_path: Path) -> None:
+    """The L298N on a plant whose winding is open between pulses, as it leaves it; edges of the PWM resolved."""
+    emulator(name.partition("-")[0])
+    plant = tmp_path / "resolved.toml"
+    kind = "fast_decay = {}" if name.endswith("l298n") else ""
+    plant.write_text(
+        'schema = "firmware_model.plant/1"\nsupply_V = 9.0\nR_ohm = 5.5\nL_H = 0.015\nKt_Nm_per_A = 0.34\n'
+        f'Ke_Vs_per_rad = 0.49\nJ_kgm2 = 3.0e-3\ncoulomb_Nm = 0.02\npwm = "edge_resolved"\n[effects]\n{kind}\n'
+    )
+    counts, directions, rows = both(name, tmp_path, "", str(plant), -80.0)
+    assert rows == 4000
+    assert counts <= 1
+    assert directions <= 20
 
 
 @EACH
