@@ -107,7 +107,7 @@ def test_the_decoder_counts_as_the_simulated_one(fuzz: ModuleType) -> None:
 def test_the_images_are_what_the_sources_make(measured: Callable[[str], None]) -> None:
     needed("make", "avr-gcc", "arm-none-eabi-gcc")
     done = subprocess.run(["make", "-s", "-C", str(ROOT / "firmware"), "check"], capture_output=True, text=True)
-    measured(f"{done.stdout}{done.stderr}", end="")
+    measured("\n".join(["firmware", *done.stdout.splitlines(), *done.stderr.splitlines()]))
     assert done.returncode == 0
     assert "12 files, each the same byte for byte" in done.stdout
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fiohost.boards.images import find_image
@@ -13,8 +15,8 @@ from fiohost.transport.base import Transport
 from fiohost.transport.simulated import DEFAULT_PLANT, _boards
 
 if TYPE_CHECKING:
-    from firmware_model import Plant
     from firmware_model.emulated.board import EmulatedBoard
+    from firmware_model.emulated.chip import Chip
 
 SEALED_PLANT = "sealed"
 
@@ -33,9 +35,8 @@ class EmulatedTransport(Transport):
     lock_step = True
     stream = True
 
-    def __init__(self, board: EmulatedBoard, name: str, identity: str, plant: Plant | None = None) -> None:
-        self.name, self.identity = name, identity
-        self.facts = {} if plant is None else {"plant": plant.name, "supply_V": f"{plant.supply_V:g}"}
+    def __init__(self, board: EmulatedBoard, name: str, identity: str, facts: Mapping[str, str]) -> None:
+        self.name, self.identity, self.facts = name, identity, facts
         self._board = board
         self._waiting = b""
         self._is_open = False
@@ -70,6 +71,7 @@ def emulated_board(rest: str, seed: int | None = None) -> EmulatedTransport:
     """
     from firmware_model import FirmwareModelError, draw, load_plant
     from firmware_model.emulated.board import EmulatedBoard
+    from firmware_model.sealed import NEWEST
 
     name, plant_name = split_emulated(rest)
     image = find_image(name)
@@ -81,13 +83,16 @@ def emulated_board(rest: str, seed: int | None = None) -> EmulatedTransport:
     except FirmwareModelError as exc:
         raise ConfigError(str(exc)) from exc
     identity = f"emulated {image.board.chip}, {image.name}" + ", sealed" * sealed
-    transport = EmulatedTransport(board, f"emulated:{rest}", identity, None if sealed else plant)
+    facts = {"plant": plant.name, "supply_V": f"{plant.supply_V:g}", "pwm_hz": f"{plant.pwm_hz:g}"}
+    if sealed:
+        facts = {"sealed_version": str(NEWEST)}
+    transport = EmulatedTransport(board, f"emulated:{rest}", identity, facts)
     if not sealed:
         _boards[transport] = board
     return transport
 
 
-def _chip(board: str):  # type: ignore[no-untyped-def]
+def _chip(board: str) -> Callable[[Path], Chip]:
     if board == "uno":
         from firmware_model.emulated.avr import Atmega328p
 

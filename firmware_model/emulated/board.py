@@ -16,6 +16,7 @@ from firmware_model.quadrature import EdgeMotor
 from firmware_model.thermal import ThermalShutdown
 
 COUNTS_PER_REV = 720  # what the firmware is built for
+PWM_HZ = 20e3
 BOOT_S = 0.1
 BEHIND_S = 0.0015  # a step ends so long after the first byte of a report: report and answer are out by then
 
@@ -24,7 +25,7 @@ class EmulatedBoard:
     """A chip, a bridge, a motor. :meth:`step` takes bytes of the serial line and gives those that came back in 5 ms.
 
     ``seed`` as of a simulated board. Of the plant's options the pull-ups and the watchdog are the firmware's own
-    affair. Raises FirmwareModelError for a plant with faults of the line and for another encoder.
+    affair. Raises FirmwareModelError for a plant with faults of the line, another encoder or another PWM.
     """
 
     def __init__(self, chip: Chip, plant: Plant, board: str, bridge: str, *, seed: int | None = None) -> None:
@@ -33,6 +34,8 @@ class EmulatedBoard:
                 f"plant {plant.name!r} has {plant.counts_per_rev} counts a turn, the firmware is built for "
                 f"{COUNTS_PER_REV}"
             )
+        if plant.pwm_hz != PWM_HZ:
+            raise FirmwareModelError(f"plant {plant.name!r} has pwm_hz = {plant.pwm_hz:g}, the firmware {PWM_HZ:g}")
         if plant.faults is not None:
             raise FirmwareModelError(f"plant {plant.name!r} has faults of the line: they need a simulated board")
         within_count, within_gap = start_of(seed)
