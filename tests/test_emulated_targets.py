@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from fiohost.bench.seal import is_faulty, is_sealed
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError
 from fiohost.transport.instruments import Instruments
+from firmware_model.emulated import avr
 
 CLOSED = "square_170_190"
 EACH = pytest.mark.parametrize("name", BOARDS)
@@ -144,15 +146,12 @@ def test_what_cannot_be_emulated_is_refused_in_one_sentence(target: str, reason:
         fiohost.connect(target)
 
 
-def test_without_its_emulator_a_board_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
+def test_without_its_emulator_a_board_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "unicorn", None)
     with pytest.raises(ConfigError, match="pip install unicorn"):
         fiohost.connect("emulated:bluepill")
-    from firmware_model.emulated import avr
-
     avr.library.cache_clear()
+    monkeypatch.setattr(avr, "kept_in", lambda: str(tmp_path))
     monkeypatch.setattr(avr.shutil, "which", lambda name: None)
     with pytest.raises(ConfigError, match="libsimavr-dev"):
         fiohost.connect("emulated:uno")

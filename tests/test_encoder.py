@@ -10,6 +10,7 @@ import pytest
 
 from firmware_model import Board, load_plant
 from firmware_model.encoder import decode, levels_of
+from firmware_model.layout import LEVELS
 from firmware_model.motor import Motor
 from firmware_model.quadrature import EdgeMotor
 
@@ -113,6 +114,6 @@ def test_a_reset_counter_starts_anew_and_the_disc_stays() -> None:
     board = Board(load_plant("default"), seed=3)
     motor = board._motor
     motor.run(DRIVEN, 60.0, 0.3)
-    levels = int(motor._m[19])
+    levels = int(motor._m[LEVELS])
     motor.reset_counter()
-    assert (motor.count, int(motor._m[19])) == (0, levels)
+    assert (motor.count, int(motor._m[LEVELS])) == (0, levels)

@@ -38,13 +38,13 @@ STATS = ("task_cycles", "dark_cycles", "bytes_overrun", "tasks", "instructions")
 @cache
 def library() -> Any:
     """The emulator as a library. Raises FirmwareModelError where it cannot be built here."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        raise FirmwareModelError(f"the emulated Uno needs a C compiler and simavr: {INSTALL}")
     name = f"simavr-{hashlib.blake2s(SOURCE.read_bytes(), digest_size=8).hexdigest()}.so"
     kept = kept_in()
     path = Path(kept) / name if kept else Path(tempfile.mkdtemp()) / name
     if not path.is_file():
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        if compiler is None:
+            raise FirmwareModelError(f"the emulated Uno needs a C compiler and simavr: {INSTALL}")
         half = path.with_suffix(f".{os.getpid()}")
         command = [compiler, "-shared", "-fPIC", "-O2", "-o", str(half), str(SOURCE), "-lsimavr", "-lelf"]
         done = subprocess.run(command, capture_output=True, text=True)
