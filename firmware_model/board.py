@@ -8,7 +8,7 @@ from firmware_model.bridge import STANDBY, drive
 from firmware_model.formats import make_format
 from firmware_model.motor import Motor
 from firmware_model.plants import Plant
-from firmware_model.report import Command
+from firmware_model.report import PERIOD, Command
 from firmware_model.thermal import ThermalShutdown
 
 STEP_S = 0.005
@@ -22,16 +22,21 @@ class Board:
     ``seed`` draws what nobody can know of a bench before it moves: the shaft's angle within its first count and the
     place of the gears in their play. Without a seed the shaft starts in the middle of its count and of the play.
     ``pwm`` ("averaged" or "edge_resolved") takes the place of the plant's own key. ``layout`` names the reports that
-    the board speaks (see :mod:`firmware_model.formats`).
+    the board speaks (see :mod:`firmware_model.formats`), ``duty_steps`` are the timer's ticks of a PWM period.
     """
 
     def __init__(
-        self, plant: Plant, *, seed: int | None = None, pwm: str | None = None, layout: str = "assumed"
+        self,
+        plant: Plant,
+        *,
+        seed: int | None = None,
+        pwm: str | None = None,
+        layout: str = "assumed",
+        duty_steps: int = PERIOD,
     ) -> None:
-        self._format = make_format(layout)
-        rng = random.Random(f"start {seed}") if seed is not None else None
-        within_count = rng.random() if rng else 0.5
-        within_gap = rng.random() if rng else 0.5
+        self._format = make_format(layout, duty_steps)
+        self._duty_steps = duty_steps
+        within_count, within_gap = start_of(seed)
         self._motor = Motor(plant, within_count=within_count, within_gap=within_gap, pwm=pwm)
         self._counts_per_rev = plant.counts_per_rev
         self._pull_ups = plant.pull_ups
@@ -75,4 +80,12 @@ class Board:
             command = _BRAKE
         if not self._pull_ups:  # the open-drain pins can pull down only
             command = command._replace(c3=0, c4=0)
-        return drive(command)
+        return drive(command, self._duty_steps)
+
+
+def start_of(seed: int | None) -> tuple[float, float]:
+    """Where the shaft stands in its count and the gears in their play (0..1), as *seed* draws it."""
+    if seed is None:
+        return 0.5, 0.5
+    rng = random.Random(f"start {seed}")
+    return rng.random(), rng.random()

@@ -12,7 +12,7 @@ BRAKE = 2  # shorted all the time
 TRUTH_TABLE = {(1, 0): (DRIVEN, 1.0), (0, 1): (DRIVEN, -1.0), (1, 1): (BRAKE, 0.0), (0, 0): (STANDBY, 0.0)}
 
 
-def drive(command: Command) -> tuple[int, float]:
-    """Mode and signed duty in percent of full scale; a compare value beyond the period stays on."""
+def drive(command: Command, period: int = PERIOD) -> tuple[int, float]:
+    """Mode and signed duty in percent of full scale; a compare value beyond the *period* stays on."""
     mode, sign = TRUTH_TABLE[command.c3, command.c4]
-    return mode, sign * 100.0 * min(command.compare, PERIOD) / PERIOD
+    return mode, sign * 100.0 * min(command.compare, period) / period

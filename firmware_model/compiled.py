@@ -26,7 +26,8 @@ njit: Any = numba.njit
 # The kernel allocates nothing and hands its arrays down; without reference counting those calls are free.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
-NOT_COMPILED = ("__main__.py", "formats.py", "gadget.py", "lines", "serve.py")  # the line and its bytes
+# the line and its bytes, and what calls the kernel
+NOT_COMPILED = ("__main__.py", "emulated", "formats.py", "gadget.py", "lines", "quadrature.py", "serve.py")
 
 
 def _fingerprint() -> str:

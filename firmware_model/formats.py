@@ -11,7 +11,7 @@ import struct
 from typing import Protocol
 
 from firmware_model.errors import FirmwareModelError
-from firmware_model.report import Command, compare_value, parse, telemetry
+from firmware_model.report import PERIOD, Command, compare_value, parse, telemetry
 
 BUFFER = 256  # bytes that the receiver's ring holds; what comes beyond them is lost
 
@@ -38,8 +38,13 @@ class Plain:
 
     out_size = in_size = 64
     start = b""
-    parse = staticmethod(parse)
     telemetry = staticmethod(telemetry)
+
+    def __init__(self, period: int = PERIOD) -> None:
+        self._period = period
+
+    def parse(self, report: bytes) -> Command | None:
+        return parse(report, self._period)
 
     def reset(self) -> None: ...
 
@@ -50,11 +55,14 @@ class Documented:
     out_size, in_size = 10, 7
     start = b"\x7e\x7e"
 
+    def __init__(self, period: int = PERIOD) -> None:
+        self._period = period
+
     def parse(self, report: bytes) -> Command | None:
         if len(report) != self.out_size or report[:2] != self.start or report[-2:] != b"\x03\x03":
             return None
         duty_pct, c3, c4 = struct.unpack_from("<fBB", report, 2)
-        return Command(compare_value(duty_pct), int(c3 != 0), int(c4 != 0))
+        return Command(compare_value(duty_pct, self._period), int(c3 != 0), int(c4 != 0))
 
     def telemetry(self, direction: int, pos: int) -> bytes:
         return self.start + struct.pack("<BH", direction, pos) + b"\x03\x03"
@@ -63,11 +71,15 @@ class Documented:
 
 
 class Framed:
-    """Numbered and checked. *size* pads both reports with zeros; 0 leaves them as short as they are."""
+    """Numbered and checked: what no host can mean (a duty outside 0 to 100, bits other than 0 and 1) is dropped too.
+
+    *size* pads both reports with zeros; 0 leaves them as short as they are.
+    """
 
     start = b"\xa5\x5a"
 
-    def __init__(self, size: int = 0) -> None:
+    def __init__(self, size: int = 0, period: int = PERIOD) -> None:
+        self._period = period
         self.out_size, self.in_size = max(size, 12), max(size, 13)
         self._tick = 0
 
@@ -75,9 +87,9 @@ class Framed:
         if len(report) != self.out_size or report[:2] != self.start:
             return None
         _, duty_pct, c3, c4, crc = struct.unpack_from("<HfBBH", report, 2)
-        if crc != crc16(report[:10]):
+        if crc != crc16(report[:10]) or not 0.0 <= duty_pct <= 100.0 or c3 > 1 or c4 > 1:
             return None
-        return Command(compare_value(duty_pct), int(c3 != 0), int(c4 != 0))
+        return Command(compare_value(duty_pct, self._period), c3, c4)
 
     def telemetry(self, direction: int, pos: int) -> bytes:
         body = self.start + struct.pack("<HIBH", self._tick & 0xFFFF, self._tick & 0xFFFFFFFF, direction, pos)
@@ -101,14 +113,14 @@ def crc16(data: bytes) -> int:
 NAMES = ("assumed", "documented", "framed", "framed-hid")
 
 
-def make_format(name: str) -> Format:
-    """A layout of one board. Raises FirmwareModelError for a name that is unknown."""
+def make_format(name: str, period: int = PERIOD) -> Format:
+    """A layout of one board. *period*: timer ticks of a PWM period. Raises FirmwareModelError for an unknown name."""
     if name == "assumed":
-        return Plain()
+        return Plain(period)
     if name == "documented":
-        return Documented()
+        return Documented(period)
     if name in ("framed", "framed-hid"):
-        return Framed(64 if name == "framed-hid" else 0)
+        return Framed(64 if name == "framed-hid" else 0, period)
     raise FirmwareModelError(f"the board speaks no layout {name!r}; known: {', '.join(NAMES)}")
 
 

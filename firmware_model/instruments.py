@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from firmware_model.board import Board
+from firmware_model.emulated.board import EmulatedBoard
 from firmware_model.errors import FirmwareModelError
 
 GRAVITY_M_S2 = 9.81  # as in the lab appendix, table D-5
@@ -16,7 +17,7 @@ class Instruments:
     Readings are of the moment at which the board's last step ended.
     """
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board | EmulatedBoard) -> None:
         self._motor = board._motor
         self._hung_Nm = 0.0
         self._hand_Nm = 0.0

@@ -15,6 +15,7 @@ from firmware_model.layout import (
     FLOW,
     FOLDED,
     HEAD,
+    LOOKS,
     LOST_WAY,
     MEAN,
     MODE,
@@ -67,9 +68,8 @@ def act(y, r, m, p, on, mode, duty):  # type: ignore[no-untyped-def]
 
 
 @part
-def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
-    """Latch a command, then run for ``span`` seconds."""
-    end = r[TIME] + span
+def latch(y, r, m, queue, p, on, mode, duty):  # type: ignore[no-untyped-def]
+    """A command leaves the timer: it acts now, or after the delay on its way."""
     if p[DELAY] > 0.0:
         if m[WAITING] >= QUEUE - 1:
             return  # cannot be: the longest delay is shorter than the queue
@@ -80,6 +80,11 @@ def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped
         m[WAITING] += 1
     else:
         act(y, r, m, p, on, mode, duty)
+
+
+@part
+def pass_time(y, r, m, queue, w, p, on, end):  # type: ignore[no-untyped-def]
+    """Run to the time ``end`` under the commands latched so far."""
     while r[TIME] < end:
         while m[WAITING] > 0 and queue[0, m[HEAD]] <= r[TIME]:
             act(y, r, m, p, on, int(queue[2, m[HEAD]]), queue[1, m[HEAD]])
@@ -96,6 +101,14 @@ def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped
         else:
             settle(r[TIME], y, m, r[DUTY], p, on)
             run_until(y, r, m, w, until, p, on)
+
+
+@part
+def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
+    """Latch a command, then run for ``span`` seconds."""
+    end = r[TIME] + span
+    latch(y, r, m, queue, p, on, mode, duty)
+    pass_time(y, r, m, queue, w, p, on, end)
 
 
 @entry
@@ -119,3 +132,19 @@ def meters(y, r, m, queue, w, p, on):  # type: ignore[no-untyped-def]
     """Mean current and mean voltage of the winding now; with the bridge open and no current, the back-emf."""
     current, rate = electrical(r[TIME], y, m, r[DUTY], p, on)
     return current, p[R] * current + p[L] * rate + p[KE] * y[OMEGA]
+
+
+@entry
+def run_looking(y, r, m, queue, w, p, on, is_new, mode, duty, until, parts):  # type: ignore[no-untyped-def]
+    """Run to the time ``until`` with a look at the encoder at the start and at the end of each of ``parts`` parts.
+
+    Looks are kept in ``r``, as :func:`firmware_model.encoder.read_encoder` says. The command is latched where
+    ``is_new``.
+    """
+    begin = r[TIME]
+    m[LOOKS] = 0
+    read_encoder(y, r, m, p, on)
+    if is_new:
+        latch(y, r, m, queue, p, on, mode, duty)
+    for k in range(parts):
+        pass_time(y, r, m, queue, w, p, on, begin + (until - begin) * ((k + 1) / parts))

@@ -15,7 +15,10 @@ COUNT, DIRECTION, HEAD, WAITING, EVENTS, STEPS, LOST_WAY = range(8, 15)
 # on the motor's physics, STIFF 1 where a segment is too long for one step, FOLDED 1 where the disc's angle turns back
 # in a motion that does not.
 PHASE, PLAIN, STIFF, FOLDED = range(15, 19)
-SWITCHES = 19
+# The decoder: LEVELS of the encoder as it saw them last, INVALID changes. LOOKS counts looks at the disc that were kept
+# behind the other reals, -1 where none are.
+LEVELS, INVALID, LOOKS = range(19, 22)
+SWITCHES = 22
 MEAN, ON, OFF = range(3)
 
 # r: reals of the clockwork.

@@ -21,6 +21,7 @@ from firmware_model.layout import (
     FLOW,
     FOLDED,
     LOAD_THETA,
+    LOOKS,
     LOST_WAY,
     MEAN,
     OFF,
@@ -148,6 +149,7 @@ class Motor:
         m[BODIES] = 2 if p[C.LOAD_J] > 0.0 else 1
         m[STATES] = self._states_needed(plant, p)
         m[FLOW] = 1
+        m[LOOKS] = -1
         m[PHASE] = MEAN if resolved == PWM[0] else OFF
         m[PLAIN], m[STIFF], m[FOLDED] = is_plain(plant), is_stiff(plant, p), is_folded(plant)
         r[STRIDE] = 0.001

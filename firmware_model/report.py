@@ -25,20 +25,23 @@ class Command(NamedTuple):
     c4: int
 
 
-def compare_value(duty_pct: float) -> int:
-    """trunc(36 duty) as the 16-bit register takes it: unclamped above 100 (stays on); negative and NaN give 0."""
+def compare_value(duty_pct: float, period: int = PERIOD) -> int:
+    """trunc(36 duty) as the 16-bit register takes it: unclamped above 100 (stays on); negative and NaN give 0.
+
+    *period*: timer ticks of a PWM period, where they are not 3600.
+    """
     if not duty_pct > 0.0:
         return 0
-    scaled = 36.0 * duty_pct
+    scaled = period / 100.0 * duty_pct
     return REGISTER_TOP if math.isinf(scaled) or scaled >= REGISTER_TOP else int(scaled)
 
 
-def parse(report: bytes) -> Command | None:
+def parse(report: bytes, period: int = PERIOD) -> Command | None:
     """The command in a report, or None where the parser drops it (wrong length): the outputs then hold."""
     if len(report) != SIZE:
         return None
     duty_pct, c3, c4 = _OUT.unpack_from(report)
-    return Command(compare_value(duty_pct), int(c3 != 0), int(c4 != 0))
+    return Command(compare_value(duty_pct, period), int(c3 != 0), int(c4 != 0))
 
 
 def telemetry(direction: int, pos: int) -> bytes:

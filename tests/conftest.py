@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,3 +36,23 @@ def measured_data() -> Path:
             f"REAL MEASUREMENTS ABSENT: no folder {folder / 'measured'}; set FIOHOST_DATA to the folder above it"
         )
     return folder
+
+
+@pytest.fixture
+def measured(request: pytest.FixtureRequest) -> Callable[[str], None]:
+    """A figure that a test measured, for the end of the output: ``measured("12 of 12")``."""
+
+    def keep(text: str) -> None:
+        request.node.user_properties.append(("measured", text))
+
+    return keep
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """All figures, by whichever worker they were measured."""
+    reports = [report for outcome in ("passed", "failed") for report in terminalreporter.stats.get(outcome, [])]
+    found = [text for report in reports for name, text in report.user_properties if name == "measured"]
+    if found:
+        terminalreporter.section("measured")
+    for text in sorted(found):
+        terminalreporter.write_line(text)

@@ -28,16 +28,22 @@ class PtyBoard:
     """
 
     def __init__(
-        self, link: str | None = None, *, mangle: Mangle = lambda k, p: p, step_s: float = 0.005, repeats: int = 1
+        self,
+        link: str | None = None,
+        *,
+        mangle: Mangle = lambda k, p: p,
+        step_s: float = 0.005,
+        repeats: int = 1,
+        layout: str = "documented",
     ) -> None:
-        self._form = make_format("documented")
+        self._form = make_format(layout)
         self._mangle = mangle
         self.commands: list[Command] = []
         self.steps = self.pos = 0
         self.line = PtyLine(link)
         self._ended = threading.Event()
         kept = {"step_s": step_s, "repeats": repeats, "stop": self._ended.is_set}
-        self._thread = threading.Thread(target=serve, args=(self._step, self.line, "documented"), kwargs=kept)
+        self._thread = threading.Thread(target=serve, args=(self._step, self.line, layout), kwargs=kept)
         self._thread.start()
 
     def _step(self, packet: bytes | None) -> bytes:

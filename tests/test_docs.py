@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from fiohost.labs.readings import Readings
 from fiohost.motor.model import Model
 from fiohost.settings import config_names
 from fiohost.transport.profile import TargetProfile
+from fiohost.wire.identity import ANSWER_BYTES, QUERY
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -134,6 +136,30 @@ def test_the_effects_page_is_the_library() -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert text("effects.md") == module.page(), "write it anew: python docs/tools/effects_page.py"
+
+
+def test_the_wiring_pictures_are_those_of_their_script() -> None:
+    spec = importlib.util.spec_from_file_location("wiring", ROOT / "docs" / "tools" / "wiring.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["wiring"] = module  # where its dataclasses look for their module
+    spec.loader.exec_module(module)
+    for name, picture in module.pictures().items():
+        assert (ROOT / "docs" / "images" / name).read_text(encoding="utf-8") == picture, name
+        assert f"images/{name}" in text("firmware.md")
+
+
+def test_the_firmwares_page_begins_with_what_has_met_a_real_board() -> None:
+    first = text("firmware.md").splitlines()[2]
+    assert first.startswith("**None of this has met a real board.**")
+
+
+def test_the_query_on_the_page_is_the_one_that_is_sent() -> None:
+    section = text("protocol.md").partition("### Who is there")[2]
+    assert f"`{QUERY.hex(' ')}`" in section
+    assert re.findall(r"^\| 38 \| u16 \| CRC", section, re.MULTILINE)
+    assert ANSWER_BYTES == 40
 
 
 def test_every_signal_and_its_keys_are_documented() -> None:

@@ -68,14 +68,15 @@ def connect(
 ) -> Bench:
     """Open a target and return its bench (a context manager).
 
-    ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed* or,
-    without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and a clock
-    with faults. ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME
-    is a profile, shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a
-    serial number. Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's ``[limits]``)
-    can only be stricter than the profile's. A board that goes away in a run is waited for, *reconnect_s*, and braked
-    first of all when it is back; the run has ended. Raises ConfigError for an unknown target or plant, TransportError
-    where it cannot be opened.
+    ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed*
+    or, without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and
+    a clock with faults. ``emulated:BOARD[:PLANT]`` is the firmware's machine code in an emulator, in lock step with
+    a plant. ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME
+    is a profile, shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port,
+    a serial number. Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's
+    ``[limits]``) can only be stricter than the profile's. A board that goes away in a run is waited for,
+    *reconnect_s*, and braked first of all when it is back; the run has ended. Raises ConfigError for an unknown
+    target or plant, TransportError where it cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
@@ -111,6 +112,10 @@ def open_target(
 def split_target(target: str) -> tuple[str, str, str]:
     """Medium, what follows it, and the profile's name of a target as people write it. Raises ConfigError."""
     medium, _, rest = target.partition(":")
+    if medium == "emulated":
+        from fiohost.transport.emulated import split_emulated
+
+        return medium, rest, split_emulated(rest)[0].partition("-")[0]
     if medium in _MEDIA:
         return medium, rest, PROFILES[medium]
     if medium == "replay":
@@ -146,10 +151,11 @@ def _simulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str)
     from fiohost.transport.simulated import plant_board, sealed_board
 
     if f"sim:{rest}" not in SEALED:
-        return plant_board(rest, seed, layout=profile.board_layout)
+        return plant_board(rest, seed, layout=profile.board_layout, duty_steps=profile.duty_steps)
     drawn = draw_seed() if seed is None else seed
     store_seed(run_id, drawn)
-    return sealed_board(drawn, faulty=f"sim:{rest}" != SEALED[0], layout=profile.board_layout)
+    faulty = f"sim:{rest}" != SEALED[0]
+    return sealed_board(drawn, faulty=faulty, layout=profile.board_layout, duty_steps=profile.duty_steps)
 
 
 def _serial(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
@@ -166,9 +172,19 @@ def _hid(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Tr
     return HidTransport(rest, profile.vendor_id, profile.product_id, numbered=numbered)
 
 
+def _emulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
+    from fiohost.transport.emulated import SEALED_PLANT, emulated_board, split_emulated
+
+    if split_emulated(rest)[1] == SEALED_PLANT:
+        seed = draw_seed() if seed is None else seed
+        store_seed(run_id, seed)
+    return emulated_board(rest, seed)
+
+
 # what follows the medium in the target, profile, seed, run id
 _MEDIA: dict[str, Callable[[str, TargetProfile, int | None, str], Transport]] = {
     "sim": _simulated,
     "hid": _hid,
     "serial": _serial,
+    "emulated": _emulated,
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,9 @@ import numpy as np
 
 from fiohost.bench.loop import Bench
 from fiohost.bench.program import Answer, Hold
+from fiohost.errors import TelemetryTimeoutError
 from fiohost.transport.timed import TimedTransport
+from fiohost.wire.identity import QUERY, Identity, find_identity
 from fiohost.wire.messages import BRAKE_COMMAND
 
 if TYPE_CHECKING:
@@ -28,7 +31,9 @@ LATE_SHARE = 0.02  # of ticks whose answer may be so late before it is a problem
 PULSE_S = 0.2
 PULSES_PCT = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
 MOVED_COUNTS = 6
+QUERY_HEADER = bytes.fromhex("a5 5a")  # of the layouts whose boards may know the query
 OK, NOTE, PROBLEM = "ok", "note", "problem"
+ASKED_TIMES, PIECES = 3, 20  # a query may be lost; so many pieces of the stream are heard for its answer
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,55 @@ class Timing:
     def achievable_hz(self) -> float:
         """Ticks a second that the host could keep here: one answer of twenty may take longer."""
         return float(1e3 / max(np.percentile(self.answer_ms, 95.0), 1e-3))
+
+
+def identity(bench: Bench) -> Identity | None:
+    """Who the board is, asked over the wire; None where its layout has no query, or where it does not answer.
+
+    Nothing is driven. Raises TransportError, DisconnectedError.
+    """
+    layout, line = bench.profile.codec.command_layout, bench.transport
+    if not line.stream or layout.header != QUERY_HEADER or layout.crc is None:
+        return None
+    for _ in range(ASKED_TIMES):
+        heard = b""
+        line.send(QUERY)
+        for _ in range(PIECES):
+            with suppress(TelemetryTimeoutError):
+                heard += line.receive(bench.sample_time_s)
+            if (found := find_identity(heard)) is not None:
+                return found
+    return None
+
+
+def who(bench: Bench) -> Iterator[Finding]:
+    """What the board says of itself, against its profile. Raises as :func:`identity`."""
+    profile, found = bench.profile, identity(bench)
+    if found is None:
+        if profile.board:
+            cure = f"'fiohost firmware flash {profile.board}' puts the firmware on it that does"
+            yield Finding(PROBLEM, f"the board does not say who it is; the profile is of {profile.board!r}", cure)
+        return
+    yield Finding(OK, found.describe())
+    if profile.board not in ("", found.name):
+        cure = f"use the profile of this board: --target {found.name}:PORT"
+        yield Finding(PROBLEM, f"the profile {profile.name} is of {profile.board!r}, the board is {found.name!r}", cure)
+    pairs = (
+        ("duty_steps", profile.duty_steps, found.duty_steps),
+        ("watchdog_s", profile.watchdog_s, found.watchdog_s),
+        ("counts_per_rev", profile.counts_per_rev, found.counts_per_rev),
+        ("sample_time_s", profile.sample_time_s, found.sample_time_s),
+    )
+    for key, said, true in pairs:
+        if abs(said - true) > 1e-9 and not (key == "duty_steps" and not said):
+            cure = f"write {key} = {true:g} into a profile of your own, or use --target {found.name}:PORT"
+            yield Finding(PROBLEM, f"the profile says {key} = {said:g}, the board {true:g}", cure)
+    if found.refused_frames:
+        cure = "a few come when a port opens; a number that grows is a bad cable, or another baud rate"
+        yield Finding(NOTE, f"the board has refused {found.refused_frames} damaged frames since its reset", cure)
+    if found.bad_edges:
+        cure = "counts are lost: noise on the encoder's wires, or a shaft faster than the board can follow"
+        yield Finding(PROBLEM, f"both encoder levels changed at once {found.bad_edges} times since the reset", cure)
 
 
 def timing(bench: Bench, seconds: float = LISTEN_S) -> Timing:

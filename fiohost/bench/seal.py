@@ -18,6 +18,16 @@ MAX_SEED = 2**63 - 1
 SEALED = ("sim:sealed", "sim:sealed-faulty")
 
 
+def is_sealed(target: str) -> bool:
+    """Whether nobody is told what is behind a target: a simulated board, or an emulated one with such a plant."""
+    return target in SEALED or (target.startswith("emulated:") and target.endswith(":sealed"))
+
+
+def is_faulty(target: str) -> bool:
+    """Whether a sealed target also has faults of line and clock."""
+    return target == SEALED[1]
+
+
 def state_dir() -> Path:
     """Where fiohost keeps what outlives a command: ``$XDG_STATE_HOME/fiohost``, ``~/.local/state/fiohost``."""
     base = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -50,7 +60,7 @@ def find_seed(seed_or_log: str) -> int:
     if not Path(seed_or_log).exists():
         raise ConfigError(f"{seed_or_log!r} is neither a seed (a whole number) nor a log file")
     log = Log.read(seed_or_log)
-    if log.metadata.get("target") not in SEALED:
+    if not is_sealed(log.metadata.get("target", "")):
         raise ConfigError(f"{seed_or_log} is a log of {log.metadata.get('target', 'an unnamed target')!r}: not sealed")
     run_id = log.metadata.get("run_id", "")
     path = _seal_path(run_id) if re.fullmatch(r"[0-9a-f]{8,64}", run_id) else None

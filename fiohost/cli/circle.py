@@ -41,7 +41,7 @@ def close_loop(
       fiohost close-loop --seed 7 --report out
     """
     from fiohost.bench.connect import connect
-    from fiohost.bench.seal import SEALED
+    from fiohost.bench.seal import is_sealed
     from fiohost.circle.close import close_loop as run_circle
     from fiohost.discover.result import to_json
     from fiohost.motor.model import Model
@@ -56,7 +56,7 @@ def close_loop(
     with connect(target, seed=drawn) as bench, progress() as doing:
         circle = run_circle(bench, folder, declared, follow_up=not no_follow_up, say=doing)
     diagnosis = to_json(circle.diagnosis)
-    seal = _open_seal(circle.fresh_log.path, target) if target in SEALED else None
+    seal = _open_seal(circle.fresh_log.path, target) if is_sealed(target) else None
     result = circle.to_json(diagnosis, seal)
     print_circle(say.console, result, say.verbose)
     circle.diagnosis.final.fit.model.write(folder / "model.toml", "fitted by fiohost close-loop")
@@ -85,7 +85,7 @@ def _folder(report: Path | None) -> Path:
 
 def _open_seal(log: Path, target: str) -> dict[str, object]:
     """The truth about a sealed board, from its log: the last thing that is done."""
-    from fiohost.bench.seal import SEALED, find_seed, find_version
+    from fiohost.bench.seal import find_seed, find_version, is_faulty
     from fiohost.transport.instruments import break_seal
 
-    return break_seal(find_seed(str(log)), find_version(str(log)), faulty=target != SEALED[0])
+    return break_seal(find_seed(str(log)), find_version(str(log)), faulty=is_faulty(target))

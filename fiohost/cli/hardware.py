@@ -151,7 +151,7 @@ def _software(report: _Report) -> None:
 
 def _bench(report: _Report, target: str, seed: int | None, listen_s: float, most_pct: float | None) -> Timing | None:
     from fiohost.bench.connect import connect
-    from fiohost.bench.doctor import NOTE, OK, PROBLEM, Finding, signs, timing
+    from fiohost.bench.doctor import NOTE, OK, PROBLEM, Finding, signs, timing, who
 
     found = None
     try:
@@ -165,6 +165,8 @@ def _bench(report: _Report, target: str, seed: int | None, listen_s: float, most
             if on_a_cable and not profile.watchdog_s:
                 cure = "keep the motor's switch at hand; a watchdog in the board's program helps (watchdog_s)"
                 report(Finding(NOTE, "the board has no watchdog: a host that dies leaves its motor running", cure))
+            for finding in who(bench):
+                report(finding)
             found = timing(bench, listen_s)
             for finding in found.findings:
                 report(finding)

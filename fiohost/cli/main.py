@@ -38,6 +38,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "devices": ("fiohost.cli.hardware:devices", "List boards that are connected."),
     "doctor": ("fiohost.cli.hardware:doctor", "Look for what is not right between this computer and the motor."),
+    "firmware": ("fiohost.cli.firmware:firmware", "Programs for boards: list them, find them, flash them."),
     "udev": ("fiohost.cli.hardware:udev", "Print the udev rules that let you reach the boards (Linux)."),
     "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),

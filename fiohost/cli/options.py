@@ -21,8 +21,8 @@ def target_options(command: Command) -> Command:
     command = wire_options(command)
     seed_help = "For sim:sealed: which board. For other simulated boards: how the shaft starts."
     target_help = (
-        "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, hid, hid:SERIAL, serial:PORT, replay:FILE, or a profile: its "
-        "name or file, also with :REST."
+        "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, hid, hid:SERIAL, serial:PORT, replay:FILE, "
+        "emulated:BOARD[:PLANT], or a profile: its name or file, also with :REST."
     )
     command = click.option("--seed", metavar="N", help=seed_help)(command)
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)

@@ -46,7 +46,7 @@ class Instruments:
         if board is None:
             why = (
                 "a sealed bench shows nothing but its wire"
-                if transport.name.startswith("sim:sealed")
+                if "sealed" in transport.name.split(":", 1)[-1]
                 else "read the meters on your table; only simulated benches (sim, sim:PLANT) bring their own"
             )
             raise ConfigError(f"{transport.name or 'this target'} has no instruments: {why}")

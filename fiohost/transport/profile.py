@@ -88,6 +88,7 @@ class TargetProfile:
     text: str = ""  # of the file
     baud: int = DEFAULT_BAUD  # of a serial line; a USB port of the board's own has no use for it
     watchdog_s: float = 0.0  # the board brakes by itself after so long without a command; 0: it never does
+    board: str = ""  # what it calls itself when asked; empty where nobody knows
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
@@ -123,6 +124,7 @@ class TargetProfile:
         top.finish()
         vendor_id = None if identity.raw("vendor_id") is None else identity.integer("vendor_id", low=0, high=0xFFFF)
         product_id = None if identity.raw("product_id") is None else identity.integer("product_id", low=0, high=0xFFFF)
+        board = identity.text("board", "")
         identity.finish()
         if transport == "hid" and (command.report_id is None) != (telemetry.report_id is None):
             raise ConfigError(f"{name}: a HID device numbers all reports or none: give both a report_id, or neither")
@@ -136,7 +138,7 @@ class TargetProfile:
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
             name, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limits, codec, board_layout, text, baud, watchdog_s,
+            limits, codec, board_layout, text, baud, watchdog_s, board,
         )  # fmt: skip
 
     @property

@@ -16,13 +16,14 @@ from fiohost.transport.profile import DEFAULT_BOARD_LAYOUT
 
 if TYPE_CHECKING:
     from firmware_model import Board, Plant
+    from firmware_model.emulated.board import EmulatedBoard
 
 DEFAULT_PLANT = "default"
 
 Step = Callable[[bytes | None], bytes | list[bytes]]
 
 # For the lab's instruments alone: the boards behind open plants. A sealed one has no meters.
-_boards: WeakKeyDictionary[Transport, Board] = WeakKeyDictionary()
+_boards: WeakKeyDictionary[Transport, Board | EmulatedBoard] = WeakKeyDictionary()
 
 
 class SimulatedTransport(Transport):
@@ -70,16 +71,19 @@ class SimulatedTransport(Transport):
         self._is_open = False
 
 
-def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAULT_BOARD_LAYOUT) -> SimulatedTransport:
+def plant_board(
+    plant_name: str, seed: int | None = None, *, layout: str = DEFAULT_BOARD_LAYOUT, duty_steps: int = 0
+) -> SimulatedTransport:
     """A board with a plant by name or file. Raises ConfigError for a plant that is unknown or malformed.
 
-    *layout*: the reports that the board speaks, by its own name of them.
+    *layout*: the reports that the board speaks, by its own name of them. *duty_steps*: timer counts of a PWM period;
+    0 are the 3600 of the real one.
     """
-    from firmware_model import Board, FirmwareModelError, load_plant
+    from firmware_model import FirmwareModelError, load_plant
 
     try:
         plant = load_plant(plant_name or DEFAULT_PLANT)
-        board = Board(plant, seed=seed, layout=layout)
+        board = _make(plant, seed, layout, duty_steps)
     except FirmwareModelError as exc:
         raise ConfigError(str(exc)) from exc
     name = f"sim:{plant_name}" if plant_name else "sim"
@@ -89,23 +93,32 @@ def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAU
     return transport
 
 
-def sealed_board(seed: int, *, faulty: bool = False, layout: str = DEFAULT_BOARD_LAYOUT) -> SimulatedTransport:
+def sealed_board(
+    seed: int, *, faulty: bool = False, layout: str = DEFAULT_BOARD_LAYOUT, duty_steps: int = 0
+) -> SimulatedTransport:
     """A board whose plant, effects and, where asked for, faults are drawn by *seed* and told to nobody."""
     from firmware_model import draw
     from firmware_model.sealed import NEWEST
 
     plant = draw(seed, faulty=faulty)
-    step = _line(_board(plant, seed, layout), plant, seed)
+    step = _line(_board(plant, seed, layout, duty_steps), plant, seed)
     name = "sim:sealed-faulty" if faulty else "sim:sealed"
     facts = {"sealed_version": str(NEWEST)}
     return SimulatedTransport(step, name, "simulated, sealed", facts, plant.counts_per_rev)
 
 
-def _board(plant: Plant, seed: int, layout: str) -> Board:
-    from firmware_model import Board, FirmwareModelError
+def _make(plant: Plant, seed: int | None, layout: str, duty_steps: int) -> Board:
+    from firmware_model import Board
+    from firmware_model.report import PERIOD
+
+    return Board(plant, seed=seed, layout=layout, duty_steps=duty_steps or PERIOD)
+
+
+def _board(plant: Plant, seed: int, layout: str, duty_steps: int) -> Board:
+    from firmware_model import FirmwareModelError
 
     try:
-        return Board(plant, seed=seed, layout=layout)
+        return _make(plant, seed, layout, duty_steps)
     except FirmwareModelError as exc:
         raise ConfigError(str(exc)) from exc
 
