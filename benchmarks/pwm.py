@@ -46,11 +46,12 @@ HEAD = """\
 # Within a PWM period
 
 A bridge gives the winding pulses, and the current rises and falls with them. While it neither ceases nor meets a limit
-the circuit is linear and its mean over a period follows the mean voltage, however large the ripple (Middlebrook and Cuk,
-A general unified approach to modelling switching-converter power stages, 1976). Elsewhere the fit follows the current
-that repeats itself from period to period piece by piece (`fiohost/motor/electrics.py`): the fixed point of the period's
-map, whose mean drives. Before it repeats, the mean moves as in the linear circuit until it comes there. The frequency is
-`pwm_hz` of a log, a map or a model; without an inductance in the model there is no ripple, and means are all it knows.
+the circuit is linear and its mean over a period follows the mean voltage, however large the ripple (Middlebrook and
+Cuk, A general unified approach to modelling switching-converter power stages, 1976). Elsewhere the fit follows the
+current that repeats itself from period to period piece by piece (`fiohost/motor/electrics.py`): the fixed point of the
+period's map, whose mean drives. Before it repeats, the mean moves as in the linear circuit until it comes there. The
+frequency is `pwm_hz` of a log, a map or a model; without an inductance in the model there is no ripple, and means are
+all it knows. A supply that sags is taken by its mean resistance, whatever the ripple.
 
 Here a motor runs 2.4 s of duty steps on the [simulated board](plants.md) with its edges resolved, and in the fit. Each
 field: the largest difference in percent of the way turned; in brackets the same for a fit that knows no ripple. Bold:

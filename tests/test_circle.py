@@ -76,9 +76,9 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
             confirmed.append(judge_fresh(*args))
             return confirmed[-1]
 
-        def guarded_reveal(seed: int) -> dict[str, Any]:
+        def guarded_reveal(seed: int, *version: int) -> dict[str, Any]:
             assert confirmed, "the seal was opened before the fresh record was judged"
-            return dict(reveal(seed))
+            return dict(reveal(seed, *version))
 
         patch.setattr(close, "confirm", watched_confirm)
         patch.setattr(firmware_model, "reveal", guarded_reveal)
