@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,7 +88,9 @@ def whole(log: Path, ending: str) -> None:
     assert read.metadata["ending"].startswith(ending)
 
 
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+@pytest.mark.parametrize(
+    ("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131), ("SIGTSTP", 148)]
+)
 def test_a_signal(board: PtyBoard, tmp_path: Path, name: str, code: int) -> None:
     host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", stdout=subprocess.DEVNULL)
     host.drives()
@@ -100,9 +103,7 @@ def test_a_signal(board: PtyBoard, tmp_path: Path, name: str, code: int) -> None
 @pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml"]])
 def test_a_reader_who_leaves(board: PtyBoard, tmp_path: Path, command: list[str]) -> None:
     """As ``fiohost ... | head -1`` does."""
-    (tmp_path / "step_40.toml").write_text(
-        'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
-    )
+    (tmp_path / "step_40.toml").write_text(STEP_40)
     host = Host(board, tmp_path, *command, "--log", "run.csv", stdout=subprocess.PIPE)
     assert host.process.stdout is not None
     host.process.stdout.readline()
@@ -118,18 +119,10 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
     """One that is the process's own hangs up with a signal, any other only takes no more text."""
     terminal, end = pty.openpty()
 
-    def take() -> None:
-        import fcntl
-        import termios
-
-        os.setsid()
-        if is_its_own:
-            fcntl.ioctl(end, termios.TIOCSCTTY, 0)
-
     streams: dict[str, int | IO[str]] = {"stdin": end, "stdout": end}
     if is_its_own:
         streams["stderr"] = end  # what is said last goes nowhere, and that changes nothing
-    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", preexec_fn=take, **streams)
+    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", preexec_fn=own_terminal(end) if is_its_own else os.setsid, **streams)
     os.close(end)
     host.drives()
     os.close(terminal)
@@ -141,6 +134,58 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
         assert code == 1
         whole(host.log, "stopped: FiohostError")
         assert "the terminal has gone; the motor was braked" in host.said
+
+
+STEP_40 = 'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
+
+
+@pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml", "--log", "run.csv"]])
+@pytest.mark.parametrize(("key", "code"), [(b"\x1a", 148), (b"\x1c", 131)])
+def test_keys_that_stop_a_process_brake(
+    board: PtyBoard, tmp_path: Path, command: list[str], key: bytes, code: int
+) -> None:
+    """Ctrl-Z would leave the motor running and drive on at fg, Ctrl-\\ would end the host without a brake."""
+    (tmp_path / "step_40.toml").write_text(STEP_40)
+    terminal, end = pty.openpty()
+    if command[0] == "manual":
+        command = [*command, "--log", "run.csv"]
+    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)  # no keys: it asks for none
+    os.close(end)
+    host.drives()
+    os.write(terminal, key)
+    assert host.ended() == code
+    whole(host.log, "stopped by Ctrl-")
+    os.close(terminal)
+
+
+def test_ctrl_s_holds_nothing_up(board: PtyBoard, tmp_path: Path) -> None:
+    """Held output would hold the loop: it goes on, and Ctrl-C is heard."""
+    (tmp_path / "step_40.toml").write_text(STEP_40)
+    terminal, end = pty.openpty()
+    before = termios.tcgetattr(end)
+    command = ["run", "step_40.toml", "--log", "run.csv"]
+    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)
+    host.drives()
+    os.write(terminal, b"\x13")
+    host.drives(len(rows_of(host.log)) + 500)  # longer than from one shown line to the next
+    os.write(terminal, b"\x03")
+    assert host.ended() == 130
+    whole(host.log, "stopped by Ctrl-C")
+    assert termios.tcgetattr(end) == before
+    os.close(end)
+    os.close(terminal)
+
+
+def own_terminal(end: int) -> Any:
+    """Makes a child the leader of a session on that terminal, as a shell's job in the foreground is."""
+
+    def take() -> None:
+        import fcntl
+
+        os.setsid()
+        fcntl.ioctl(end, termios.TIOCSCTTY, 0)
+
+    return take
 
 
 def limited(size: int) -> Any:

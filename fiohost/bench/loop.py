@@ -187,11 +187,13 @@ class Bench:
             settle(self._line, stop)
 
     def close(self) -> None:
-        """Brake and give the line back; harmless when done twice."""
-        try:
-            brake(self._line)
-        finally:
-            self.transport.close()
+        """Brake and give the line back; harmless when done twice. A signal meanwhile is heard afterwards."""
+        with StopSignals() as stop:
+            try:
+                brake(self._line)
+            finally:
+                self.transport.close()
+        stop.check()
 
     def __enter__(self) -> Self:
         return self
