@@ -38,6 +38,10 @@ class TelemetryTimeoutError(TransportError):
     """No telemetry arrived in time."""
 
 
+class MotorRunningError(TransportError):
+    """The brake was sent, but nothing says that the shaft stands."""
+
+
 class ReportError(TransportError):
     """A report does not fit its layout; ``reason`` is one word for counting: length, header, crc, values, ..."""
 

@@ -24,16 +24,23 @@ BRAKE = (0, 1, 1)  # compare value, C3, C4
 class PtyBoard:
     """A board without a motor: its count goes on by 5 a step while it is driven forward. *mangle(k, packet)* is sent.
 
-    ``commands`` are those it has taken, in their order.
+    ``commands`` are those it has taken, in their order. *runs_away*: whatever it is told, its motor runs.
     """
 
     def __init__(
-        self, link: str | None = None, *, mangle: Mangle = lambda k, p: p, step_s: float = 0.005, repeats: int = 1
+        self,
+        link: str | None = None,
+        *,
+        mangle: Mangle = lambda k, p: p,
+        step_s: float = 0.005,
+        repeats: int = 1,
+        runs_away: bool = False,
     ) -> None:
         self._form = make_format("documented")
         self._mangle = mangle
         self.commands: list[Command] = []
         self.steps = self.pos = 0
+        self.runs_away = runs_away
         self.line = PtyLine(link)
         self._ended = threading.Event()
         kept = {"step_s": step_s, "repeats": repeats, "stop": self._ended.is_set}
@@ -45,7 +52,7 @@ class PtyBoard:
         if command is not None:
             self.commands.append(command)
         sent = self._mangle(self.steps, self._form.telemetry(0, self.pos))
-        if self.commands and self.commands[-1].compare and self.commands[-1].c3:
+        if self.runs_away or (self.commands and self.commands[-1].compare and self.commands[-1].c3):
             self.pos = (self.pos + 5) % 720
         self.steps += 1
         return sent

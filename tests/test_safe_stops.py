@@ -11,6 +11,7 @@ import sys
 import termios
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -20,7 +21,8 @@ from lines import BRAKE, PtyBoard
 
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench
-from fiohost.transport.profile import TargetProfile
+from fiohost.errors import MotorRunningError
+from fiohost.transport.profile import Guards, TargetProfile
 from fiohost.transport.serial import SerialTransport
 
 ROOT = Path(__file__).parent.parent
@@ -122,7 +124,15 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
     streams: dict[str, int | IO[str]] = {"stdin": end, "stdout": end}
     if is_its_own:
         streams["stderr"] = end  # what is said last goes nowhere, and that changes nothing
-    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", preexec_fn=own_terminal(end) if is_its_own else os.setsid, **streams)
+    host = Host(
+        board,
+        tmp_path,
+        *DRIVE,
+        "--log",
+        "run.csv",
+        preexec_fn=own_terminal(end) if is_its_own else os.setsid,
+        **streams,
+    )
     os.close(end)
     host.drives()
     os.close(terminal)
@@ -267,8 +277,52 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
             bench.drive(40.0, 5.0, tmp_path / "run.csv", progress=break_it, progress_every_s=0.3)
     time.sleep(0.03)
     assert board.braked == (fails == "reading")
-    assert any("MAY BE RUNNING" in note for note in caught.value.__notes__) == (fails == "both")
+    assert any("MAY BE RUNNING" in note for note in caught.value.__notes__)  # who does not read does not know
     assert Log.read(tmp_path / "run.csv").metadata["ending"] == "stopped: RuntimeError: the reader died"
+
+
+# ---- a board that does not obey ------------------------------------------------------------------------------------
+
+
+def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path: Path) -> None:
+    """The brake was sent, and telemetry says that nobody heeded it."""
+    host = Host(board, tmp_path, *DRIVE, "--duration", "1", "--log", "run.csv", stdout=subprocess.PIPE)
+    host.drives()
+    board.runs_away = True
+    out, _ = host.process.communicate(timeout=LIMIT_S)
+    assert host.process.returncode == 1
+    assert "THE MOTOR MAY BE RUNNING" in host.said
+    assert "the shaft still turns at " in host.said
+    assert "braked" not in out
+    assert board.braked  # it was told so
+    assert Log.read(host.log).metadata["ending"].startswith("stopped: MotorRunningError")
+
+
+def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
+    with PtyBoard(runs_away=True) as board, board.bench() as bench:
+        with pytest.raises(MotorRunningError, match="before the run"):
+            bench.drive(40.0, 1.0)
+        assert {tuple(command) for command in board.commands} == {BRAKE}
+        board.runs_away = False
+
+
+def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyBoard) -> None:
+    profile = TargetProfile.load("serial-documented")
+    with Bench(SerialTransport(board.target), replace(profile, guards=Guards(braked_deg_s=600.0))) as bench:
+        board.runs_away = True
+        assert len(bench.drive(0.0, 0.1)) > 0
+
+
+def test_a_board_that_comes_back_and_ignores_the_brake_is_not_said_to_be_braked(tmp_path: Path) -> None:
+    link = str(tmp_path / "board")
+    with PtyBoard(link) as gone:
+        host = Host(gone, tmp_path, *DRIVE, "--reconnect", "60", "--log", "run.csv", stdout=subprocess.DEVNULL)
+        host.drives()
+        gone.unplug()
+        with PtyBoard(link, runs_away=True):
+            assert host.process.wait(LIMIT_S) == 1
+    assert "was braked first of all" not in host.said
+    assert "THE MOTOR MAY BE RUNNING; the board ignores commands" in host.said
 
 
 # ---- plugged in again ----------------------------------------------------------------------------------------------
@@ -290,5 +344,7 @@ def test_a_board_that_comes_back_is_braked_first_of_all_by_every_command_that_dr
             assert {tuple(taken) for taken in back.commands} == {BRAKE}
     assert code == 1
     assert "THE MOTOR MAY BE RUNNING; waiting for the board to come back" in host.said
+    assert "a board came back" in host.said
     assert "was braked first of all" in host.said
+    assert "it has no serial number, so that another one in its place looks the same" in host.said
     whole(host.log, "stopped: DisconnectedError")

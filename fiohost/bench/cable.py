@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 
 from fiohost.bench.clock import Clock
-from fiohost.errors import TelemetryTimeoutError, TransportError
+from fiohost.errors import MotorRunningError, TelemetryTimeoutError, TransportError
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 
@@ -101,8 +101,21 @@ def brake_when_back(
         try:
             transport.reopen()
             brake()
+        except MotorRunningError as exc:
+            return f"a board came back after {clock.now_s() - began_s:.1f} s, but {exc}"
         except Exception:  # of whatever kind: it is tried again
             clock.wait_until(clock.now_s() + RETRY_S)
         else:
-            return f"the board came back after {clock.now_s() - began_s:.1f} s and was braked first of all"
+            board = "the board" if transport.is_known_again else "a board"
+            doubt = (
+                ""
+                if transport.is_known_again
+                else (
+                    "; it has no serial number, so that another one in its place looks the same: see that it is the one"
+                )
+            )
+            return (
+                f"{board} came back after {clock.now_s() - began_s:.1f} s and was braked first of all: "
+                f"its shaft stands{doubt}"
+            )
     return running + f"; it was not back after {clock.now_s() - began_s:.1f} s"

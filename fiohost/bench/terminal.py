@@ -1,7 +1,7 @@
 """The terminal while a motor is driven: nothing typed there may hold this process up.
 
-Ctrl-S holds back all output, and a process that writes then waits for Ctrl-Q with the motor running; so the flow control
-by characters is off meanwhile. A background job of a terminal with ``tostop`` is not stopped for what it writes.
+Ctrl-S holds back all output, and a process that writes then waits for Ctrl-Q with the motor running; so flow control by
+characters is off meanwhile. A background job of a terminal with ``tostop`` is not stopped for what it writes.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ def _say(out: Output, result: dict[str, Any], statistics: str) -> None:
     if "error_rms_second_half_deg" in result:
         out(f"error against the reference, second half: {result['error_rms_second_half_deg']:.3g} deg rms; "
             f"duty at its limit in {100 * result['saturated_share']:.1f} % of the ticks")  # fmt: skip
-    out(f"{statistics}; {result['rows']} rows in {result['log']}; brake sent")
+    out(f"{statistics}; {result['rows']} rows in {result['log']}; braked")
     for note in result["notes"]:
         out(f"note: {note}")
 

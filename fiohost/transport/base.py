@@ -30,6 +30,7 @@ class Transport(ABC):
     stream: bool = False
     facts: Mapping[str, str]
     can_reopen: bool = False  # a board on a cable, which may be plugged in again
+    is_known_again: bool = False  # it has a serial number by which :meth:`reopen` tells it from others
     counts_per_rev: int | None = None  # where the board is known better than by its profile
     passed_over: int = 0  # reports that came with a newer one and were never read
 

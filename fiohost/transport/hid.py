@@ -140,6 +140,7 @@ class HidTransport(Transport):
             return _why(info, what, exc)
         self._device, self._lock, self._backend, self._known = device, lock, backend, info
         self.identity = _handle(info)
+        self.is_known_again = bool(info.get("serial_number"))
         self.facts = {"hid_backend": f"{backend.name} {backend.version}"}
         self._found_gone = False
         self._drain()  # what an earlier host left there

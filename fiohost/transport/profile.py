@@ -70,6 +70,27 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Guards:
+    """When a bench believes that something is wrong with the motor, and brakes. :mod:`fiohost.bench.rest` and
+    :mod:`fiohost.bench.guard` judge by them.
+    """
+
+    braked_deg_s: float = 60.0  # a braked shaft that a load turns no faster than this is not a running motor
+
+    @classmethod
+    def from_table(cls, table: Table) -> Guards:
+        """Read a table of guards, any of which may be absent. Raises ConfigError."""
+        found = {key: table.number(key, low=low, high=high) for key, (low, high) in _GUARDS.items() if key in table}
+        for key in _GUARDS:
+            table.raw(key)
+        table.finish()
+        return cls(**found)
+
+
+_GUARDS = {"braked_deg_s": (0.0, 1e6)}
+
+
+@dataclass(frozen=True)
 class TargetProfile:
     """One board: medium, layouts, identity and limits."""
 
@@ -88,6 +109,7 @@ class TargetProfile:
     text: str = ""  # of the file
     baud: int = DEFAULT_BAUD  # of a serial line; a USB port of the board's own has no use for it
     watchdog_s: float = 0.0  # the board brakes by itself after so long without a command; 0: it never does
+    guards: Guards = Guards()
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
@@ -115,6 +137,7 @@ class TargetProfile:
         baud = top.integer("baud", DEFAULT_BAUD, low=50, high=50_000_000)
         watchdog_s = top.number("watchdog_s", 0.0, low=0.0, high=60.0)
         identity, limits = top.table("identity"), Limits.from_table(top.table("limits"))
+        guards = Guards.from_table(top.table("guards"))
         command = Layout.from_table(top.table("command", required=True), NUMBERED_COMMAND_FIELDS, COMMAND_FIELDS)
         telemetry = Layout.from_table(
             top.table("telemetry", required=True), NUMBERED_TELEMETRY_FIELDS, TELEMETRY_FIELDS
@@ -136,7 +159,7 @@ class TargetProfile:
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
             name, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limits, codec, board_layout, text, baud, watchdog_s,
+            limits, codec, board_layout, text, baud, watchdog_s, guards,
         )  # fmt: skip
 
     @property

@@ -65,6 +65,7 @@ class SerialTransport(Transport):
         info = next((info for info in _ports() if info.device == path), None)
         self._key = _key(info) if info is not None and info.vid is not None else None
         self.identity = _identity(info) if self._key else path
+        self.is_known_again = info is not None and bool(info.serial_number)
 
     def reopen(self) -> None:
         self.close()

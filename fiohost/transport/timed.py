@@ -21,6 +21,7 @@ class TimedTransport(Transport):
         inner = self.inner
         self.name, self.identity, self.facts = inner.name, inner.identity, inner.facts
         self.passed_over, self.can_reopen = inner.passed_over, inner.can_reopen
+        self.is_known_again = inner.is_known_again
         self.lock_step, self.stream, self.counts_per_rev = inner.lock_step, inner.stream, inner.counts_per_rev
 
     def open(self) -> None:
@@ -29,6 +30,7 @@ class TimedTransport(Transport):
 
     def reopen(self) -> None:
         self.inner.reopen()
+        self._take_over()
 
     def send(self, report: bytes) -> None:
         self.inner.send(report)

@@ -33,6 +33,7 @@ class TracedTransport(Transport):
         inner = self.inner
         self.name, self.identity, self.facts = inner.name, inner.identity, inner.facts
         self.can_reopen = inner.can_reopen
+        self.is_known_again = inner.is_known_again
         self.lock_step, self.stream, self.counts_per_rev = inner.lock_step, inner.stream, inner.counts_per_rev
 
     def open(self) -> None:
@@ -55,6 +56,7 @@ class TracedTransport(Transport):
 
     def reopen(self) -> None:
         self.inner.reopen()
+        self._take_over()
 
     def send(self, report: bytes) -> None:
         if self._debug:
