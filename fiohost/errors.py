@@ -42,6 +42,10 @@ class MotorRunningError(TransportError):
     """The brake was sent, but nothing says that the shaft stands."""
 
 
+class HostError(FiohostError):
+    """This computer did not keep up: a run on a real board was ended and the motor braked."""
+
+
 class ReportError(TransportError):
     """A report does not fit its layout; ``reason`` is one word for counting: length, header, crc, values, ..."""
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lines import FakeHidapi, info
+from lines import FakeHidapi, info, patient
 
 from fiohost.bench.loop import Bench
 from fiohost.bench.program import Answer
@@ -358,7 +358,7 @@ def test_reports_that_a_full_queue_lost_are_missing_rows_by_the_clock() -> None:
                 time.sleep(0.4)
             return (Command.drive(20.0), None) if k < 120 else None
 
-    with Bench(line(Stepping(info())), TargetProfile.load()) as bench:
+    with Bench(line(Stepping(info())), patient("hid-assumed")) as bench:
         log = bench.play(Sleeping())
     gap = int(np.argmax(np.diff(log.time_s)))
     assert log.time_s[gap] == pytest.approx(0.05, abs=0.1)

@@ -25,7 +25,9 @@ def greet(transport: Transport, brake: bytes, clock: Clock, watchdog_s: float) -
     Raises TelemetryTimeoutError where it says nothing, after closing the line.
     """
     if transport.can_reopen and not watchdog_s:
-        logger.warning("the board has no watchdog: should this host die in mid-run, the motor runs on")
+        logger.warning(
+            "the board has no watchdog: should this computer die or the cable be pulled in mid-run, the motor runs on"
+        )
     try:
         transport.send(brake)
         deadline_s = clock.now_s() + START_LIMIT_S

@@ -7,6 +7,7 @@ in a row are an error. A lock-step board is paced by the clock, any other keeps 
 from __future__ import annotations
 
 from fiohost.bench.clock import Clock
+from fiohost.bench.guardian import Guardian
 from fiohost.bench.statistics import TickStatistics
 from fiohost.errors import ReportError, TelemetryTimeoutError, TransportError
 from fiohost.transport.base import Transport
@@ -30,6 +31,7 @@ class Line:
         self.profile = profile
         self.clock = clock
         self.link = Link(profile.codec, stream=transport.stream)
+        self.guardian: Guardian | None = None  # hears of each turn
         self.steps = 0
         self.read_s = self._due_s = clock.now_s()
         self._steps_read = 0  # the steps at the last reading
@@ -99,6 +101,8 @@ class Line:
 
     def _newest(self, now_s: float) -> Telemetry:
         transport, link = self.transport, self.link
+        if self.guardian is not None:
+            self.guardian.beat()
         deadline_s, left_s = now_s + TELEMETRY_TIMEOUT_S, TELEMETRY_TIMEOUT_S
         unseen, unread = transport.passed_over, link.passed_over
         self.steps += 1  # holds where nothing comes that tells more

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Mapping
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,7 @@ from fiohost import __version__
 from fiohost.bench import cable
 from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.experiment import Experiment
+from fiohost.bench.guardian import Guardian
 from fiohost.bench.line import Line
 from fiohost.bench.log import Log, LogWriter
 from fiohost.bench.program import Hold, Program
@@ -25,9 +27,10 @@ from fiohost.bench.rest import brake, braked_after, settle
 from fiohost.bench.statistics import TickStatistics
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.turns import Progress, Tick, turns
+from fiohost.bench.watcher import Watcher, quick_switches
 from fiohost.bench.writer import NoLog
 from fiohost.errors import ConfigError, LogError
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
@@ -65,6 +68,13 @@ class Bench:
         transport.open()
         if not transport.lock_step:
             cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
+        self._guardian: Guardian | None = None
+        self._guarded: Way | None = None
+        try:
+            self._set_guardian()
+        except BaseException:
+            transport.close()
+            raise
         layout = f"{profile.name} (layout {profile.status})"
         logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
 
@@ -135,7 +145,9 @@ class Bench:
         progress_every_s: float = 0.1,
     ) -> Log:
         """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
-        writer = LogWriter(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        writer = LogWriter(
+            log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart
+        )
         self._record(program, writer, progress, progress_every_s)
         return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
 
@@ -149,25 +161,53 @@ class Bench:
     ) -> int:
         """As :meth:`play`, for sessions of any length: without *log_path* rows are counted, not kept. Gives rows."""
         kind = NoLog if log_path is None else LogWriter
-        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart)
         self._record(program, writer, progress, progress_every_s)
         return writer.rows
 
     def _record(self, program: Program, writer: LogWriter, progress: Progress | None, progress_every_s: float) -> None:
         line = self._line
         line.count_anew()
+        watcher = Watcher(progress) if progress is not None and self._is_apart else None
         try:
-            with StopSignals() as stop, stop.hang_ups(), braked_after(line, stop, self.reconnect_s):
+            with (
+                StopSignals() as stop,
+                stop.hang_ups(),
+                quick_switches(self._is_apart),
+                ExitStack() as until_braked,
+                braked_after(line, stop, self.reconnect_s),
+            ):
+                self._set_guardian()
                 at_rest = settle(line, stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
                 writer.begin(self._bench_time_s(), at_rest)
+                if self._guardian is not None:
+                    until_braked.enter_context(self._guardian.on_duty())
                 with stop.interruptible():
-                    turns(line, program, writer, stop, progress, every)
+                    turns(line, program, writer, stop, watcher or progress, every)
             stop.check()  # a signal during the last brake is an end by signal too
         except BaseException as exc:
             self._close(writer, exc)
             raise
         writer.close("complete", self.statistics.describe())
+        if watcher is not None:
+            watcher.close()
+
+    @property
+    def _is_apart(self) -> bool:
+        """Whether what may wait is done apart from the loop: the board does not wait for its host."""
+        return not self.transport.lock_step
+
+    def _set_guardian(self) -> None:
+        """A guardian for the line as it is open now. Raises HostError."""
+        way = self.transport.way
+        if way == self._guarded:
+            return
+        if self._guardian is not None:
+            self._guardian.close()
+            self._guardian = None
+        self._guardian = self._line.guardian = Guardian.of(self.transport, self.profile)
+        self._guarded = way
 
     def _close(self, writer: LogWriter, exc: BaseException) -> None:
         """Close the log of a run that *exc* ended, and tell *exc* what it holds."""
@@ -189,9 +229,14 @@ class Bench:
     def close(self) -> None:
         """Brake and give the line back; harmless when done twice. A signal meanwhile is heard afterwards."""
         with StopSignals() as stop:
+            braked = False
             try:
                 brake(self._line)
+                braked = True
             finally:
+                if self._guardian is not None:
+                    self._guardian.close(braked=braked)
+                    self._guardian = self._line.guardian = self._guarded = None
                 self.transport.close()
         stop.check()
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
+from fiohost.background import Background
 from fiohost.errors import LogError
 
 SCHEMA = "fiohost.log/1"
@@ -24,16 +25,22 @@ _ENDING_BYTES = 240
 _STATISTICS_BYTES = 480  # of a bad line there is much to say
 _CLOCK_BYTES = 40
 _BEGINS_BYTES = 20
+MAX_WAITING = 400  # rows that a disk may be behind: 2 s at 5 ms
+CLOSE_LIMIT_S = 5.0
 _UNFINISHED = "unfinished (the host did not close this log)"
 
 
 class LogWriter:
     """Writes one log. A context manager; ``row`` for each tick, ``close(ending)`` or leaving the context ends it.
 
-    ``path=None`` keeps the log in memory (:meth:`text`). Raises LogError where the file cannot be written.
+    ``path=None`` keeps the log in memory (:meth:`text`). *behind*: rows are written by a thread of their own, one by
+    one and at once, so that a disk that does not answer does not hold up who writes them. Raises LogError where the
+    file cannot be written.
     """
 
-    def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
+    def __init__(
+        self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False, behind: bool = False
+    ) -> None:
         self.path = Path(path) if path is not None else None
         self.rows = 0
         self._whole = 0  # bytes of the head and of whole rows
@@ -60,6 +67,7 @@ class LogWriter:
         except LogError:
             self._file.close()
             raise
+        self._behind = Background(self._write_row, MAX_WAITING, "log") if behind and self.path is not None else None
 
     def begin(self, bench_time_s: float, at_rest: bool) -> None:
         """Say in the head that the run begins: time since the bench was opened, and whether the shaft stands still.
@@ -90,7 +98,21 @@ class LogWriter:
         line = f"{time_s:.9g},{duty_pct:.9g},{c3},{c4},{pos},{direction},{ref},{angle}"
         if self._host_time:
             line += f",{host_time_s:.6f}" if host_time_s is not None else ","
-        self._write(line.encode() + b"\n")
+        data = line.encode() + b"\n"
+        behind = self._behind
+        if behind is None:
+            self._write_row(data)
+            return
+        if behind.problem is not None:
+            raise behind.problem
+        if not behind.put(data):
+            raise LogError(
+                f"cannot write the log {self.path}: the disk has taken nothing for the last {behind.waiting} rows; "
+                f"{self.rows} rows are in it"
+            )
+
+    def _write_row(self, data: bytes) -> None:
+        self._write(data)
         self.rows += 1
 
     def close(self, ending: str = "complete", statistics: str = "") -> None:
@@ -98,6 +120,23 @@ class LogWriter:
         if self._closed:
             return
         self._closed = True
+        behind = self._behind
+        if behind is None:
+            self._finish(ending, statistics)
+            return
+        finishing: Background[tuple[str, str]] = Background(lambda said: self._finish(*said), 1, "log-end")
+        if behind.close(CLOSE_LIMIT_S):
+            finishing.put((ending, statistics))
+        if not finishing.close(CLOSE_LIMIT_S) or behind.waiting:
+            raise LogError(
+                f"the disk under the log {self.path} does not answer: {self.rows} rows were handed to it, "
+                f"{behind.waiting} were not, and its head does not say how the run ended"
+            )
+        for problem in (finishing.problem, behind.problem):
+            if problem is not None:
+                raise problem
+
+    def _finish(self, ending: str, statistics: str) -> None:
         try:
             self._say(ending, statistics or f"{self.rows} ticks")
             if self.path is not None:

@@ -29,7 +29,13 @@ def target_options(command: Command) -> Command:
 
 
 def wire_options(command: Command) -> Command:
-    """Add ``--trace``, ``--limit`` and ``--reconnect``, which every bench of the command then has; no arguments."""
+    """Add ``--trace``, ``--limit``, ``--guard`` and ``--reconnect``, which every bench of the command then has; no
+    arguments.
+    """
+    guard_help = "Change a guard of the target, such as gap_s or stall_s; may be repeated."
+    command = click.option(
+        "--guard", multiple=True, metavar="KEY=NUMBER", expose_value=False, callback=_guard, help=guard_help
+    )(command)
     reconnect_help = "Wait S seconds for a board that went away in a run, to brake it as soon as it is back."
     command = click.option("--reconnect", metavar="S", expose_value=False, callback=_reconnect, help=reconnect_help)(
         command
@@ -47,6 +53,17 @@ def _trace(ctx: click.Context, parameter: click.Parameter, value: str | None) ->
         from fiohost.bench.connect import asking
 
         ctx.with_resource(asking(trace=value))
+
+
+def _guard(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:
+    if value and not ctx.resilient_parsing:
+        from fiohost.bench.connect import asking
+        from fiohost.transport.profile import Guards
+
+        parts = [text.partition("=") for text in value]
+        asked = {key.strip(): parse_number(f"--guard {key}", number, -1e9, 1e9) for key, _, number in parts}
+        Guards().changed(asked)  # refused here, before anything is opened
+        ctx.with_resource(asking(guards=asked))
 
 
 def _limit(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:

@@ -132,8 +132,7 @@ class PanelProgram:
                 raise ValueError(f"unknown message {message!r}")
 
     def _news(self) -> News:
-        readings = list(self._readings)
-        self._readings.clear()
+        readings = [self._readings.popleft() for _ in range(len(self._readings))]  # more may come meanwhile
         statistics = self._bench.statistics
         return News(
             readings=readings,

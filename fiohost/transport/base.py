@@ -10,10 +10,24 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from fiohost.errors import DisconnectedError
+
+
+@dataclass(frozen=True)
+class Way:
+    """How another process can write to an open line: by its descriptor, by a node, or by a path of a hidapi module.
+
+    ``prefix`` goes before each report.
+    """
+
+    fd: int = -1
+    path: str = ""
+    module: str = ""
+    prefix: bytes = b""
 
 
 class Transport(ABC):
@@ -60,6 +74,11 @@ class Transport(ABC):
         Raises TransportError while the board is not back.
         """
         raise DisconnectedError(f"{self.name} does not come back: open it anew")
+
+    @property
+    def way(self) -> Way | None:
+        """How a guardian reaches the open line; None where there is no motor that could run on."""
+        return None
 
     def __enter__(self) -> Self:
         self.open()

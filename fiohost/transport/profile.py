@@ -76,6 +76,12 @@ class Guards:
     """
 
     braked_deg_s: float = 60.0  # a braked shaft that a load turns no faster than this is not a running motor
+    gap_s: float = 0.1  # the host's loop stood still for so long: the guardian brakes, and the run ends
+
+    def changed(self, other: Mapping[str, float]) -> Guards:
+        """These guards, with the values of *other* in the place of some. Raises ConfigError."""
+        asked = Guards.from_table(Table(dict(other), "guards"))
+        return replace(self, **{key: getattr(asked, key) for key in other})
 
     @classmethod
     def from_table(cls, table: Table) -> Guards:
@@ -87,7 +93,7 @@ class Guards:
         return cls(**found)
 
 
-_GUARDS = {"braked_deg_s": (0.0, 1e6)}
+_GUARDS = {"braked_deg_s": (0.0, 1e6), "gap_s": (0.02, 60.0)}
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 
 
 class TimedTransport(Transport):
@@ -44,6 +44,10 @@ class TimedTransport(Transport):
         self.received_s.append(self._now_s())
         self._is_answered = False
         return report
+
+    @property
+    def way(self) -> Way | None:
+        return self.inner.way
 
     def close(self) -> None:
         self.inner.close()

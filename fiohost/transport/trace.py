@@ -16,11 +16,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from fiohost.background import Background
 from fiohost.errors import ConfigError, LogError
 
 SCHEMA = "fiohost.trace/1"
 DIRECTIONS = ("out", "in", "none", "gone")
 MAX_LINE_BYTES = 100_000
+MAX_WAITING = 1000  # lines that a disk may be behind: 2.5 s at 5 ms
+CLOSE_LIMIT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -34,16 +37,20 @@ class Event:
 
 
 class TraceWriter:
-    """Writes one trace, of any number of sessions. Raises LogError where the file cannot be written."""
+    """Writes one trace, of any number of sessions. Raises LogError where the file cannot be written.
+
+    A session on a real line is written by a thread of its own: a disk that does not answer must not hold up the loop.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._behind: Background[bytes] | None = None
         self._origin_s, self._begun = 0.0, False
         try:
             self._file = self.path.open("ab", buffering=0)  # a line is one write: a killed host loses none
         except OSError as exc:
             raise LogError(f"cannot write the trace {path}: {exc.strerror}; nothing was driven") from exc
-        self._works = True
+        self._works, self._said = True, False
 
     def session(self, head: Mapping[str, Any], now_s: float) -> None:
         """Begin a session, one bench on one line; its times begin at 0."""
@@ -52,6 +59,8 @@ class TraceWriter:
             self._begun = True
             with suppress(OSError):  # a pipe has nothing to take away
                 self._file.truncate(0)
+        if self._behind is None and not head.get("lock_step"):
+            self._behind = Background(self._write, MAX_WAITING, "trace")
         self._line({"schema": SCHEMA, **head})
 
     def event(self, now_s: float, direction: str, data: bytes = b"", passed_over: int = 0) -> None:
@@ -63,18 +72,36 @@ class TraceWriter:
         self._line(line)
 
     def close(self) -> None:
+        """Raises LogError where not all could be written."""
         self._works = False
+        behind = self._behind
+        if behind is not None and not behind.close(CLOSE_LIMIT_S):
+            raise LogError(f"the disk under the trace {self.path} does not answer: {behind.waiting} lines are lost")
         self._file.close()
+        if behind is not None and behind.problem is not None and not self._said:
+            raise behind.problem
 
     def _line(self, content: dict[str, Any]) -> None:
         if not self._works:  # said once; the brake must go out whatever the disk does
             return
         data = json.dumps(content, ensure_ascii=False).encode() + b"\n"
+        behind = self._behind
+        try:
+            if behind is None:
+                self._write(data)
+            elif behind.problem is not None:
+                raise behind.problem
+            elif not behind.put(data):
+                raise LogError(f"cannot write the trace {self.path}: the disk takes nothing; what was written is safe")
+        except LogError:
+            self._works, self._said = False, True
+            raise
+
+    def _write(self, data: bytes) -> None:
         try:
             while data:  # a nearly full disk may take a part
                 data = data[self._file.write(data) or 0 :]
         except OSError as exc:
-            self._works = False
             raise LogError(f"cannot write the trace {self.path}: {exc.strerror}; what was written is safe") from exc
 
     def __enter__(self) -> Self:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from fiohost.errors import DisconnectedError, LogError, TelemetryTimeoutError
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 from fiohost.transport.trace import TraceWriter
 
 traffic = logging.getLogger("fiohost.traffic")
@@ -83,6 +83,10 @@ class TracedTransport(Transport):
             traffic.debug("in  %3d: %s", len(report), report.rstrip(b"\0").hex(" "))
         self._tell("in", report, self.passed_over - before)
         return report
+
+    @property
+    def way(self) -> Way | None:
+        return self.inner.way
 
     def close(self) -> None:
         self.inner.close()
