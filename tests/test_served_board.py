@@ -60,15 +60,28 @@ def counts_since(link: Path, seconds: float) -> list[int]:
 
 
 @pytest.mark.parametrize("watchdog", [False, True])
-def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
+def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
     watchdog: bool, tmp_path: Path
 ) -> None:
+    """Host and guardian end at once."""
     link, log, trace = tmp_path / "board", tmp_path / "run.csv", tmp_path / "trace"
     profile = tmp_path / "guarded.toml"
     profile.write_text("watchdog_s = 0.1\n" + (ROOT / "configs/targets/serial-documented.toml").read_text())
     target = f"{profile if watchdog else 'serial'}:{link}"
     with served(link, *(["--watchdog", "0.1"] if watchdog else [])) as board:
-        arguments = ["manual", "--pwm", "40", "--log", str(log), "--trace", str(trace), "--target", target]
+        arguments = [
+            "manual",
+            "--pwm",
+            "40",
+            "--log",
+            str(log),
+            "--trace",
+            str(trace),
+            "--target",
+            target,
+            "--guard",
+            "gap_s=20",
+        ]
         host = subprocess.Popen(
             [sys.executable, "-c", PATIENT_HOST, *arguments],
             stdout=subprocess.DEVNULL,
@@ -79,6 +92,8 @@ def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 80):
             time.sleep(0.02)
+        guardian = Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text().split()[0]
+        os.kill(int(guardian), signal.SIGKILL)
         host.kill()
         said = host.communicate()[1]
         counts = counts_since(link, 0.6)
