@@ -110,9 +110,6 @@ def open_target(
     """The line to a target, not yet open, and the profile of its board. Raises ConfigError."""
     medium, rest, name = split_target(target)
     if medium == "replay":
-        trace = _asked.get().trace
-        if trace is not None and trace.path.resolve() == Path(rest).resolve():
-            raise ConfigError(f"{rest} cannot be replayed and recorded at once: give the new trace another name")
         replay = ReplayTransport(rest, paced=realtime)
         return replay, replay.profile
     profile = TargetProfile.load(name)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fiohost import files
 from fiohost.bench.head import MAX_LINE_CHARS, OUTPUT_UNITS, check_names, needed_columns, read_head
 from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
@@ -57,13 +58,7 @@ class Log:
     def read(cls, path: str | Path) -> Log:
         """Read a log file. Raises LogError where it cannot be read, is no log, or holds nothing whole."""
         path = Path(path)
-        try:
-            with path.open("rb") as handle:
-                data = handle.read(MAX_LOG_BYTES + 1)
-        except OSError as exc:
-            raise LogError(f"cannot read the log {path}: {exc.strerror}") from exc
-        if len(data) > MAX_LOG_BYTES:
-            raise LogError(f"{path} is larger than {MAX_LOG_BYTES // 1_000_000} MB: this is not a log of one run")
+        data = files.read_input(path, MAX_LOG_BYTES, "the log", LogError)
         notes: list[str] = []
         whole = data.rstrip(b"\0")  # a crashed machine may leave a tail of zeros
         if len(whole) < len(data):

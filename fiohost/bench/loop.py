@@ -11,7 +11,6 @@ import secrets
 from collections.abc import Mapping
 from contextlib import ExitStack
 from datetime import datetime
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -30,6 +29,7 @@ from fiohost.bench.turns import Progress, Tick, turns
 from fiohost.bench.watcher import Watcher, quick_switches
 from fiohost.bench.writer import NoLog
 from fiohost.errors import ConfigError, LogError
+from fiohost.files import Output
 from fiohost.transport.base import Transport, Way
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
@@ -97,7 +97,7 @@ class Bench:
     def run(
         self,
         experiment: Experiment | str,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         *,
         extra_metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
@@ -121,7 +121,7 @@ class Bench:
         self,
         duty_pct: float,
         duration_s: float | None = None,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         *,
         standby: bool = False,
         progress: Progress | None = None,
@@ -139,7 +139,7 @@ class Bench:
     def play(
         self,
         program: Program,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,
@@ -154,7 +154,7 @@ class Bench:
     def live(
         self,
         program: Program,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,

@@ -16,8 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
+from fiohost import files
 from fiohost.background import Background
-from fiohost.errors import LogError
+from fiohost.errors import FiohostError, LogError
 
 SCHEMA = "fiohost.log/1"
 COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
@@ -39,23 +40,20 @@ class LogWriter:
     """
 
     def __init__(
-        self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False, behind: bool = False
+        self, path: files.Output | None, metadata: Mapping[str, str], *, host_time: bool = False, behind: bool = False
     ) -> None:
-        self.path = Path(path) if path is not None else None
+        self.path: Path | None = None
         self.rows = 0
         self._whole = 0  # bytes of the head and of whole rows
         self._bench_time_s: float | None = None
         self._begins = ""
-        if self.path is not None and self.path.exists() and not self.path.is_file():
-            kind = "a directory" if self.path.is_dir() else "not an ordinary file"
-            raise LogError(f"cannot write the log {path}: it is {kind}; nothing was driven")
         self._host_time = host_time
-        self._file: BinaryIO
-        try:
-            # unbuffered: a row is one write call, and a failure is seen on the row that failed
-            self._file = io.BytesIO() if self.path is None else self.path.open("wb", buffering=0)
-        except OSError as exc:
-            raise LogError(f"cannot write the log {path}: {exc.strerror}; nothing was driven") from exc
+        self._file: BinaryIO = io.BytesIO()
+        if path is not None:
+            try:
+                self._file, self.path = files.open_log(path, "the log")
+            except FiohostError as exc:
+                raise LogError(f"{exc}; nothing was driven") from exc
         self._closed = False
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]

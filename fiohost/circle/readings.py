@@ -17,7 +17,7 @@ from fiohost.discover.tables.steady import CONSTANTS, Point, SteadyReadings, wit
 from fiohost.errors import ConfigError, DataError
 from fiohost.motor.model import Model
 from fiohost.settings import Table as Toml
-from fiohost.settings import nearest, read_toml
+from fiohost.settings import nearest, read_text, read_toml
 
 SCHEMA = "fiohost.readings/1"
 COMMON = ("title", "source", "table", "row", "only", "figures")
@@ -109,7 +109,7 @@ def read_readings(path: Path) -> tuple[Table, dict[str, str]]:
     )
     return found, {
         "file": str(path),
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": hashlib.sha256(read_text(path).encode()).hexdigest(),
         "table_sha256": rows.sha256,
     }
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fiohost.cli.output import check_writable, json_option, output_for
+from fiohost.cli.output import json_option, output_for
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.cli.output import Output
@@ -31,7 +32,7 @@ def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> No
     from fiohost.bench.imports import TableMap, import_table
 
     say = output_for(json_to)
-    check_writable(output)
+    claim(output)
     log = import_table(table, TableMap.load(map_name), output)
     low, high = float(log.duty_pct.min()), float(log.duty_pct.max())
     seconds = float(log.time_s[-1] - log.time_s[0])

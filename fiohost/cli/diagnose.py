@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.options import parse_seed
-from fiohost.cli.output import check_not_input, check_writable, json_option, make_folder, output_for
+from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
+from fiohost.files import claim, report_folder
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
@@ -85,11 +86,9 @@ def diagnose(
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed) or 0
     if save_model is not None:
-        check_writable(save_model)
-    for output in (json_to, save_model):
-        check_not_input(output, (*logs, *holdout))
+        claim(save_model)
     if report is not None:
-        make_folder(report)
+        report_folder(report)
 
     def announce(train: Sequence[Log], held: Sequence[Log]) -> None:
         for role, group in (("training", train), ("held out", held)):
@@ -139,11 +138,9 @@ def _diagnose_readings(
     say = output_for(json_to)
     drawn = parse_seed(seed) or 0
     if save_model is not None:
-        check_writable(save_model)
-    for output in (json_to, save_model):
-        check_not_input(output, readings)
+        claim(save_model)
     if report is not None:
-        make_folder(report)
+        report_folder(report)
 
     def announce(tables: Sequence[Table]) -> None:
         for table in tables:
@@ -187,8 +184,7 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
     from fiohost.motor.model import Model
 
     say = output_for(json_to)
-    check_writable(output)
-    check_not_input(output, [log])
+    claim(output)
     chosen = Model.parse(model)
     (source,) = read_logs([log], table_map)
     found = replay(source, chosen)

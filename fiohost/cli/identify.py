@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.options import parse_number
-from fiohost.cli.output import Output, check_not_input, check_writable, json_option, output_for
+from fiohost.cli.output import Output, json_option, output_for
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.estimation.logs import Identification
@@ -60,8 +61,7 @@ def identify(
     out = output_for(json_to)
     for output in (save_model, plot_to):
         if output is not None:
-            check_writable(output)
-        check_not_input(output, logs)
+            claim(output)
     gain = None if kp is None else parse_number("--kp", kp, 1e-6, 1e6, "percent per degree")
 
     from fiohost.circle.evidence import read_logs
@@ -73,7 +73,8 @@ def identify(
         found.model.write(save_model, f"identified by {found.method} from {', '.join(str(log) for log in logs)}")
         out(f"model written to {save_model}")
     if plot_to is not None:
-        from fiohost.report.identification import plot_identification, save_figure
+        from fiohost.report.identification import plot_identification
+        from fiohost.report.pictures import save_figure
 
         label = f"{found.method}: {motor_text(found)}"
         save_figure(

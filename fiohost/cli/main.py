@@ -64,8 +64,11 @@ class Commands(LazyCommands):
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
+        from fiohost import files
+
         try:
-            return super().invoke(ctx)
+            with files.command():
+                return super().invoke(ctx)
         except FiohostError as exc:
             _say_error(exc)
             _leave(1)
@@ -101,10 +104,12 @@ def _say_notes(exc: BaseException) -> None:
 
 
 def _say(text: str) -> None:
+    from fiohost.files import escaped
+
     for handler in logging.getLogger("fiohost").handlers:
         handler.flush()  # what was said before comes before
     with suppress(OSError):  # the terminal may have gone
-        click.echo(text, err=True)
+        click.echo(escaped(text), err=True)
 
 
 def _leave(code: int) -> NoReturn:

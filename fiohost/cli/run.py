@@ -58,15 +58,17 @@ def run(
     plan = _with_control(Experiment.load(experiment), controller, profile)
 
     from datetime import datetime
+    from pathlib import Path
 
     from fiohost.bench.connect import connect
+    from fiohost.files import FreeName
 
-    log_to = log_to or f"{plan.name}-{datetime.now():%Y%m%d-%H%M%S}.csv"
+    log_path: str | FreeName = log_to or FreeName(Path(f"{plan.name}-{datetime.now():%Y%m%d-%H%M%S}.csv"))
     with connect(target, seed=parse_seed(seed), realtime=realtime) as bench:
         loop = "closed loop" if plan.closed_loop else "open loop"
         out(f"{plan.name}: {plan.title or loop}; {loop}, {plan.duration_s:g} s on {bench.transport.name}")
         watch = _progress(out) if bench.clock.real else None
-        log = bench.run(plan, log_to, progress=watch, progress_every_s=1.0)
+        log = bench.run(plan, log_path, progress=watch, progress_every_s=1.0)
         result = _result(plan, log, bench.transport.name) | {"tick_statistics": bench.statistics.as_dict()}
         _say(out, result, bench.statistics.describe())
     out.json(result)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fiohost.errors import ConfigError
-from fiohost.settings import Table, find_config, read_toml
+from fiohost.settings import Table, find_config, parse_toml, read_text
 from fiohost.wire.layout import Layout
 from fiohost.wire.messages import (
     COMMAND_FIELDS,
@@ -121,15 +120,13 @@ class TargetProfile:
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
         """Read a profile by name or path. Raises ConfigError for unknown keys and layouts that do not fit."""
         path = find_config("targets", name_or_path)
-        return cls._read(read_toml(path), path.stem, path.read_text(encoding="utf-8"))
+        text = read_text(path)
+        return cls._read(parse_toml(text, str(path)), path.stem, text)
 
     @classmethod
     def parse(cls, text: str, name: str) -> TargetProfile:
         """A profile from the text of its file, as a trace carries it. Raises ConfigError."""
-        try:
-            return cls._read(Table(tomllib.loads(text), f"profile {name}"), name, text)
-        except (ValueError, RecursionError) as exc:
-            raise ConfigError(f"profile {name} is not valid TOML: {exc}") from exc
+        return cls._read(parse_toml(text, f"profile {name}"), name, text)
 
     @classmethod
     def _read(cls, top: Table, name: str, text: str) -> TargetProfile:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError
+from fiohost.files import note_input
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import DEFAULT_BOARD_LAYOUT
 
@@ -75,8 +76,10 @@ def plant_board(plant_name: str, seed: int | None = None, *, layout: str = DEFAU
 
     *layout*: the reports that the board speaks, by its own name of them.
     """
-    from firmware_model import Board, FirmwareModelError, load_plant
+    from firmware_model import Board, FirmwareModelError, load_plant, plant_names
 
+    if plant_name and plant_name not in plant_names():
+        note_input(plant_name, ConfigError)  # the firmware model reads it by itself
     try:
         plant = load_plant(plant_name or DEFAULT_PLANT)
         board = Board(plant, seed=seed, layout=layout)

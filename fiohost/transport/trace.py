@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
+from fiohost import files
 from fiohost.background import Background
-from fiohost.errors import ConfigError, LogError
+from fiohost.errors import ConfigError, FiohostError, LogError
 
 SCHEMA = "fiohost.trace/1"
 DIRECTIONS = ("out", "in", "none", "gone")
 MAX_LINE_BYTES = 100_000
+MAX_TRACE_BYTES = 10_000_000_000  # read line by line
 MAX_WAITING = 1000  # lines that a disk may be behind: 2.5 s at 5 ms
 CLOSE_LIMIT_S = 5.0
 
@@ -45,20 +46,22 @@ class TraceWriter:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._behind: Background[bytes] | None = None
-        self._origin_s, self._begun = 0.0, False
+        self._origin_s = 0.0
+        self._file: BinaryIO | None = None
         try:
-            self._file = self.path.open("ab", buffering=0)  # a line is one write: a killed host loses none
-        except OSError as exc:
-            raise LogError(f"cannot write the trace {path}: {exc.strerror}; nothing was driven") from exc
+            files.claim(path, "the trace")
+        except FiohostError as exc:
+            raise LogError(f"{exc}; nothing was driven") from exc
         self._works, self._said = True, False
 
     def session(self, head: Mapping[str, Any], now_s: float) -> None:
         """Begin a session, one bench on one line; its times begin at 0."""
         self._origin_s = now_s
-        if not self._begun:  # only now: what was there before may be the trace to be replayed
-            self._begun = True
-            with suppress(OSError):  # a pipe has nothing to take away
-                self._file.truncate(0)
+        if self._file is None:  # only now: what was there before may be what is to be replayed
+            try:
+                self._file, _ = files.open_log(self.path, "the trace")  # a line is one write: a killed host loses none
+            except FiohostError as exc:
+                raise LogError(f"{exc}; nothing was driven") from exc
         if self._behind is None and not head.get("lock_step"):
             self._behind = Background(self._write, MAX_WAITING, "trace")
         self._line({"schema": SCHEMA, **head})
@@ -77,7 +80,8 @@ class TraceWriter:
         behind = self._behind
         if behind is not None and not behind.close(CLOSE_LIMIT_S):
             raise LogError(f"the disk under the trace {self.path} does not answer: {behind.waiting} lines are lost")
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
         if behind is not None and behind.problem is not None and not self._said:
             raise behind.problem
 
@@ -98,6 +102,7 @@ class TraceWriter:
             raise
 
     def _write(self, data: bytes) -> None:
+        assert self._file is not None
         try:
             while data:  # a nearly full disk may take a part
                 data = data[self._file.write(data) or 0 :]
@@ -118,11 +123,8 @@ class TraceReader:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        try:
-            with self.path.open("rb") as file:
-                first = file.readline(MAX_LINE_BYTES + 1)
-        except OSError as exc:
-            raise ConfigError(f"cannot read the trace {path}: {exc.strerror}") from exc
+        with files.open_input(path, MAX_TRACE_BYTES, "the trace", ConfigError) as file:
+            first = file.readline(MAX_LINE_BYTES + 1)
         head = _object(first)
         if head is None or head.get("schema") != SCHEMA:
             raise ConfigError(f"{path} is not a trace: its first line is no head with the schema {SCHEMA}")
@@ -131,7 +133,7 @@ class TraceReader:
     def events(self) -> Iterator[Event]:
         """The events in their order, of all sessions. Raises ConfigError for a line that is none."""
         try:
-            with self.path.open("rb") as file:
+            with files.open_input(self.path, MAX_TRACE_BYTES, "the trace", ConfigError) as file:
                 number = 0
                 while line := file.readline(MAX_LINE_BYTES + 1):
                     number += 1
