@@ -54,5 +54,9 @@ class ReportError(TransportError):
         self.reason = reason
 
 
+class GuardError(FiohostError):
+    """The motor does not do what it is told: it stands, turns the wrong way, or its encoder cannot be believed."""
+
+
 class LimitError(FiohostError):
     """A command or run exceeds a limit of the bench."""

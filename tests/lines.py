@@ -25,7 +25,7 @@ BRAKE = (0, 1, 1)  # compare value, C3, C4
 def patient(profile: str, **guards: float) -> TargetProfile:
     """A shipped profile for a host on a busy machine: it may be held up for long."""
     loaded = TargetProfile.load(profile)
-    return replace(loaded, guards=loaded.guards.changed({"gap_s": 20.0, **guards}))
+    return replace(loaded, guards=loaded.guards.changed({"gap_s": 20.0, "late_pct": 100.0, **guards}))
 
 
 class PtyBoard:

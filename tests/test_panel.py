@@ -8,11 +8,12 @@ import math
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 from boards import WatchedTransport, bench_on, rows_of
 from desktop import Chromium, Screen, needed, until
+from lines import PtyBoard
 from test_cli_drive import FIOHOST, ROOT, refused
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -376,36 +378,159 @@ async def refuses(where: str, **headers: str) -> bool:
     return False
 
 
+async def arrives(what: Callable[[], bool], browser: Any) -> None:
+    """Wait for it; *browser* paints meanwhile."""
+    for _ in range(6000):
+        if what():
+            return
+        if browser is None:
+            await asyncio.sleep(0.02)
+            continue
+        with suppress(asyncio.TimeoutError):
+            if isinstance(await asyncio.wait_for(browser.read_message(), 0.02), bytes):
+                await browser.write_message('{"type": "ack"}')
+    raise AssertionError("it did not come")
+
+
+async def joins(run: Run) -> Any:
+    where = run.where().removeprefix("at ")
+    browser = await websocket_connect(where.replace("http://", "ws://").replace("/?", "/socket?"))
+    await browser.write_message('{"type": "refresh"}')
+    return browser
+
+
+def test_a_browser_that_paints_nothing_is_braked_for_though_its_socket_lives() -> None:
+    """The pictures are the dead man's switch: pings are answered by a frozen page too."""
+
+    async def session(run: Run) -> None:
+        browser = await joins(run)
+        await browser.write_message(press(60.0))
+        await arrives(lambda: run.drives(60.0), browser)
+        await arrives(run.braked, None)  # it is silent from here on
+        await browser.write_message('{"type": "ack"}')
+        await browser.write_message(press(-40.0))
+        await arrives(lambda: run.drives(-40.0), browser)  # back, and asked for
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--away", "5") as run:
+        asyncio.run(session(run))
+        assert run.ended()[0] == 130
+
+
+def test_one_browser_drives_at_a_time_and_floods_and_nonsense_change_nothing() -> None:
+    async def session(run: Run) -> None:
+        first, second = await joins(run), await joins(run)
+        await second.write_message(press(80.0))
+        await first.write_message(press(50.0))
+        await arrives(lambda: run.drives(50.0), first)
+        for key in ("", "Shift", "\u0000", "x" * 3000, "ctrl+\ud800", "F99"):
+            await first.write_message(json.dumps({"type": "key_press", "key": key}))
+        for _ in range(3000):
+            await second.write_message(press(80.0))
+        await arrives(lambda: run.drives(50.0), first)
+        first.close()
+        await arrives(run.braked, second)  # the second may drive now, and has to ask for it
+        await arrives(lambda: True, second)
+        await asyncio.sleep(3.0)  # its flood is forgotten
+        await second.write_message(press(-40.0))
+        await arrives(lambda: run.drives(-40.0), second)
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--away", "30") as run:
+        asyncio.run(session(run))
+        code, said, log = run.ended()
+        assert code == 130
+        assert "Traceback" not in said
+    assert log.duty_pct.max() < 60.0
+
+
+@pytest.mark.parametrize("bind", ["127.0.0.1", "0.0.0.0"])
+def test_names_of_others_and_addresses_without_the_token_are_refused(bind: str) -> None:
+    async def session(run: Run) -> None:
+        where = run.where().removeprefix("at ").replace(socket.gethostname(), "127.0.0.1")
+        plain, _, token = where.partition("?")
+        assert len(token) > 20
+        assert await refuses(where, Host="rebound.example")
+        assert await refuses(plain)
+        assert await refuses(plain + "?token=" + "x" * 22)
+        assert await refuses(plain + "mpl.js")
+        assert not await refuses(where)
+        for bad in (plain + "socket", where.replace("/?", "/socket?")):
+            headers = {"Host": "rebound.example"} if "token" in bad else {}
+            with pytest.raises(HTTPClientError, match="403"):
+                await websocket_connect(HTTPRequest(bad.replace("http://", "ws://"), headers=headers))
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--bind", bind) as run:
+        asyncio.run(session(run))
+        assert run.process.wait(240) == 130
+
+
+@pytest.mark.parametrize("bind", ["127.0.0.1/../", "no such name", "x" * 300, "\x1b[2J", "203.0.113.7"])
+def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
+    done = subprocess.run([*FIOHOST, "panel", "--web", "--bind", bind], capture_output=True, text=True, timeout=240)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "cannot serve the panel at" in done.stderr
+
+
+def test_a_board_that_goes_silent_leaves_no_traceback(tmp_path: Path) -> None:
+    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}",
+                                      "--guard", "gap_s=20") as run:  # fmt: skip
+        run.until(run.braked)
+        board.unplug()
+        assert run.process.wait(240) == 1
+    said = "\n".join(run.said())
+    assert "Traceback" not in said
+    assert len(run.said()) <= 6, said
+
+
+def test_a_hostile_page_in_a_browser_cannot_drive(tmp_path: Path) -> None:
+    """It opens sockets and frames to every name of this computer, without the token."""
+    needed("chromium")
+    with running("--web", "--port", "0") as run, Chromium(tmp_path / "profile") as browser:
+        port = run.where().partition(":")[2].partition(":")[2].partition("/")[0]
+        hostile = tmp_path / "hostile.html"
+        hostile.write_text(
+            "<script>window.tried = 0; window.opened = 0;"
+            "for (const host of ['127.0.0.1', 'localhost', '[::1]']) {"
+            " for (const rest of ['', '?token=', '?token=a']) {"
+            f"  const s = new WebSocket(`ws://${{host}}:{port}/socket${{rest}}`);"
+            f"  s.onopen = () => {{ window.opened++; s.send({json.dumps(press(90.0))}); }};"
+            "   s.onerror = () => { window.tried++; };"
+            f"  fetch(`http://${{host}}:{port}/${{rest}}`).then(r => r.text()).then(t => "
+            "     { if (t.includes('token')) window.opened++; }).catch(() => {});"
+            "}}</script>"
+        )
+        browser.open(hostile.as_uri())
+        run.until(lambda: (browser.value("window.tried") or 0) >= 9)
+        assert browser.value("window.opened") == 0
+        run.process.send_signal(signal.SIGINT)
+        code, _, log = run.ended()
+        assert code == 130
+    assert not log.duty_pct.any()
+
+
 def test_sockets_that_leave_strangers_and_a_killed_display_all_leave_the_motor_braked() -> None:
     async def session(run: Run) -> None:
         where = run.where().removeprefix("at ")
-        host = where.removeprefix("http://").strip("/")
-        socket = f"ws://{host}/socket"
-        assert host.startswith("127.0.0.1:")
+        address = where.replace("http://", "ws://").replace("/?", "/socket?")
+        assert where.startswith("http://127.0.0.1:")
         assert await refuses(where, Host="evil.example")  # a name elsewhere made to point here
         with pytest.raises(HTTPClientError, match="403"):
-            await websocket_connect(HTTPRequest(socket, headers={"Origin": "http://evil.example"}))
-        browser = await websocket_connect(socket)
-        await browser.write_message('{"type": "refresh"}')
+            await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
+        browser = await joins(run)
         await browser.write_message("nonsense")
         await browser.write_message(press(60.0))
         await arrives(lambda: run.drives(60.0), browser)
         browser.close()
         await arrives(run.braked, None)  # the last has gone
-        again = await websocket_connect(socket)
-        await again.write_message('{"type": "refresh"}')
+        again = await joins(run)
         await again.write_message(press(-40.0))
         await arrives(lambda: run.drives(-40.0), again)
         os.kill(run.display(), signal.SIGKILL)
 
-    async def arrives(what: Callable[[], bool], browser: Any) -> None:
-        for _ in range(3000):
-            if what():
-                return
-            await asyncio.sleep(0.02)
-        raise AssertionError("it did not come")
-
-    with running("--web", "--port", "0") as run:
+    with running("--web", "--port", "0", "--away", "20") as run:
         asyncio.run(session(run))
         code, said, log = run.ended()
     assert code == 1

@@ -63,6 +63,10 @@ class Rate:
         self._first = self._first or (time_s, step)
         self._last = (time_s, step)
 
+    def begin(self) -> None:
+        """This computer was late: what was noted says nothing of the board."""
+        self._first = None
+
     def is_right(self) -> bool:
         """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
         if self._first is None:

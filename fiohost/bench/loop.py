@@ -28,7 +28,7 @@ from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.turns import Progress, Tick, turns
 from fiohost.bench.watcher import Watcher, quick_switches
 from fiohost.bench.writer import NoLog
-from fiohost.errors import ConfigError, LogError
+from fiohost.errors import ConfigError, HostError, LogError
 from fiohost.files import Output
 from fiohost.transport.base import Transport, Way
 from fiohost.transport.profile import TargetProfile
@@ -38,6 +38,7 @@ __all__ = ["COMMAND_DELAY_TICKS", "Bench", "Progress", "Tick"]
 
 logger = logging.getLogger("fiohost.bench")
 
+FEW_LATE = 5  # ticks: so few are no share
 COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
 
 
@@ -192,6 +193,22 @@ class Bench:
         writer.close("complete", self.statistics.describe())
         if watcher is not None:
             watcher.close()
+        self._judge_host(writer)
+
+    def _judge_host(self, writer: LogWriter) -> None:
+        """Raise HostError where too many ticks were late or missing because of this computer."""
+        late, guards = self.statistics.host_late, self.profile.guards
+        ticks = self.statistics.ticks + self.statistics.passed_over
+        if not self.transport.can_reopen or late < FEW_LATE or 100.0 * late <= guards.late_pct * ticks:
+            return
+        error = HostError(
+            f"{late} of {ticks} ticks ({100.0 * late / ticks:.1f} %) were missed or answered late because this "
+            f"computer was busy, more than guards.late_pct = {guards.late_pct:g}: the run is complete, but not in real "
+            "time; end other programs, or try --realtime-priority"
+        )
+        if writer.path is not None:
+            error.add_note(f"the log {writer.path} is closed with its {writer.rows} rows")
+        raise error
 
     @property
     def _is_apart(self) -> bool:

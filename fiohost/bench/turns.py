@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from fiohost.bench.guard import MotorGuard
 from fiohost.bench.host import HostWatch
 from fiohost.bench.limits import Limiter
 from fiohost.bench.line import Line
@@ -45,6 +46,7 @@ def turns(
     watch = HostWatch(line)
     unwrap = Unwrapper(profile.counts_per_rev).update
     deg, sample_time_s = 360.0 / profile.counts_per_rev, profile.sample_time_s
+    guard = MotorGuard(profile.guards, sample_time_s, profile.counts_per_rev, getattr(program, "patience", 1.0)).check
     limiter, carried = Limiter(profile.limits, sample_time_s), line.link.codec.carried
     real, begin, shown = clock.real, 0.0, -every
     first = line.steps + 1
@@ -68,6 +70,7 @@ def turns(
             command, ref = answer
             time_s = k * sample_time_s
             command = carried(limiter.allow(command, angle, time_s))
+            guard(k, command, angle)
             send(encode(command))
             host = clock.now_s() - begin if real else None
             line.statistics.slowed = limiter.slowed

@@ -24,6 +24,10 @@ def target_options(command: Command) -> Command:
         "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, hid, hid:SERIAL, serial:PORT, replay:FILE, or a profile: its "
         "name or file, also with :REST."
     )
+    priority_help = "Run before all ordinary programs, where the system allows it."
+    command = click.option(
+        "--realtime-priority", is_flag=True, expose_value=False, callback=_priority, help=priority_help
+    )(command)
     command = click.option("--seed", metavar="N", help=seed_help)(command)
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
 
@@ -64,6 +68,13 @@ def _guard(ctx: click.Context, parameter: click.Parameter, value: Sequence[str])
         asked = {key.strip(): parse_number(f"--guard {key}", number, -1e9, 1e9) for key, _, number in parts}
         Guards().changed(asked)  # refused here, before anything is opened
         ctx.with_resource(asking(guards=asked))
+
+
+def _priority(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        from fiohost.bench.priority import realtime_priority
+
+        ctx.with_resource(realtime_priority())
 
 
 def _limit(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:

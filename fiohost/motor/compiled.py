@@ -1,8 +1,8 @@
 """Compilation of the numeric kernels, kept on disk so that only the first run pays for it.
 
 The cache lives in the user's cache folder under a hash of all sources of this room: numba's own check looks at one file
-only and would miss a changed effect. What lies there is unpickled, which runs code: so each folder below the cache's root
-is this user's own, closed to all others and no link, or the kernels are compiled in memory.
+only and would miss a changed effect. What lies there is unpickled, which runs code: so each folder below the root is
+this user's own, closed to all others and no link, or the kernels are compiled in memory.
 
 Kernels allocate nothing, so they are compiled without numba's reference counts: the atomic increments at every call
 cost more than the physics (a factor of ten on the whole simulation).

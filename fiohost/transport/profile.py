@@ -75,6 +75,10 @@ class Guards:
     """
 
     braked_deg_s: float = 60.0  # a braked shaft that a load turns no faster than this is not a running motor
+    stall_s: float = 3.0  # of full duty, or as long for the same heat, while the shaft stands
+    wrong_way_deg: float = 180.0  # against a strong duty, ever faster
+    speed_deg_s: float = 10_000.0  # no shaft turns faster: readings that say so are wrong ones
+    late_pct: float = 1.0  # of the ticks may be missed or late because of the host
     gap_s: float = 0.1  # the host's loop stood still for so long: the guardian brakes, and the run ends
 
     def changed(self, other: Mapping[str, float]) -> Guards:
@@ -92,7 +96,14 @@ class Guards:
         return cls(**found)
 
 
-_GUARDS = {"braked_deg_s": (0.0, 1e6), "gap_s": (0.02, 60.0)}
+_GUARDS = {
+    "braked_deg_s": (0.0, 1e6),
+    "gap_s": (0.02, 60.0),
+    "late_pct": (0.0, 100.0),
+    "stall_s": (0.05, 1e9),
+    "wrong_way_deg": (5.0, 1e9),
+    "speed_deg_s": (1.0, 1e9),
+}
 
 
 @dataclass(frozen=True)
