@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiohost import __version__
+from fiohost.bench.integrity import ended
 from fiohost.bench.log import Log
 from fiohost.bench.table import read_table
 from fiohost.errors import DataError
@@ -142,7 +143,7 @@ def log_from_table(table: Path, table_map: TableMap) -> Log:
 def import_table(table: Path, table_map: TableMap, output: Path) -> Log:
     """Write the log of a foreign table to *output*, whole or not at all, and return it. Raises FiohostError."""
     text, _, dropped = _convert(table, table_map)
-    write_output(output, text)
+    write_output(output, ended(text))
     log = Log.read(output)
     return log if not dropped else Log.parse(text, path=output, sha256=log.sha256, dropped=dropped)
 

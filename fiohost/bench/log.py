@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fiohost import files
 from fiohost.bench.head import MAX_LINE_CHARS, OUTPUT_UNITS, check_names, needed_columns, read_head
+from fiohost.bench.integrity import ALTERED, judge
 from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
 from fiohost.bench.writer import SCHEMA, LogWriter
@@ -70,6 +71,9 @@ class Log:
             if not cut:
                 raise LogError(f"{path} is not a log: byte {exc.start} is not UTF-8 text") from exc
             text = whole[: exc.start].decode("utf-8-sig")
+        judged = judge(data)
+        if judged.state == ALTERED:
+            notes.append(f"nothing yet, but the file was altered since it was written: {'; '.join(judged.notes)}")
         return cls.parse(text, path=path, sha256=hashlib.sha256(data).hexdigest(), dropped=tuple(notes))
 
     @classmethod

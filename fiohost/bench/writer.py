@@ -10,6 +10,7 @@ import errno
 import io
 import os
 import re
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import BinaryIO
 
 from fiohost import files
 from fiohost.background import Background
+from fiohost.bench.integrity import end_line
 from fiohost.errors import FiohostError, LogError
 
 SCHEMA = "fiohost.log/1"
@@ -57,11 +59,12 @@ class LogWriter:
         self._closed = False
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
-        self._ending_at = len("".join(head).encode())
-        head.append(self._late_lines(_UNFINISHED, "unknown"))
-        head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
+        self._head = "".join(head)
+        self._ending_at = len(self._head.encode())
+        self._names = ",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n"
+        self._rows_crc = 0
         try:
-            self._write("".join(head).encode())
+            self._write((self._head + self._late_lines(_UNFINISHED, "unknown") + self._names).encode())
         except LogError:
             self._file.close()
             raise
@@ -111,6 +114,7 @@ class LogWriter:
 
     def _write_row(self, data: bytes) -> None:
         self._write(data)
+        self._rows_crc = zlib.crc32(data, self._rows_crc)
         self.rows += 1
 
     def close(self, ending: str = "complete", statistics: str = "") -> None:
@@ -135,8 +139,12 @@ class LogWriter:
                 raise problem
 
     def _finish(self, ending: str, statistics: str) -> None:
+        statistics = statistics or f"{self.rows} ticks"
         try:
-            self._say(ending, statistics or f"{self.rows} ticks")
+            self._say(ending, statistics)
+            head = self._head + self._late_lines(ending, statistics) + self._names
+            with suppress(LogError):  # a full disk has room for what was there, not for more
+                self._write(end_line(self.rows, zlib.crc32(head.encode()), self._rows_crc).encode())
             if self.path is not None:
                 _sync(self._file)
                 self._file.close()
