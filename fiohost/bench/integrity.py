@@ -1,7 +1,7 @@
 """The last line of a log: how many rows it has and what its bytes add up to; and whether a file still fits it.
 
-``# end: rows=1514 crc32_head=0f3a91c2 crc32_rows=77d0b1e4``: head are all bytes before the first row, rows all bytes from
-there to this line. A log that was cut off has no such line, one that was altered does not fit it.
+``# end: rows=1514 crc32_head=0f3a91c2 crc32_rows=77d0b1e4``: head are all bytes before the first row, rows all bytes
+from there to this line. A log that was cut off has no such line, one that was altered does not fit it.
 """
 
 from __future__ import annotations
