@@ -22,6 +22,7 @@ from typing import BinaryIO
 from fiohost.errors import FiohostError
 
 _BINARY = getattr(os, "O_BINARY", 0)  # Windows translates line ends without it
+MOST_SAID = 1500  # characters of a message
 MOST_SHOWN = 200  # characters of a name in a message
 FORCE = "--force overwrites it"
 _CONTROL = re.compile(r"\x1b\[[0-9;]*m|[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -80,6 +81,11 @@ def shown(text: object) -> str:
     plain = escaped(str(text))
     half = MOST_SHOWN // 2
     return plain if len(plain) <= MOST_SHOWN else f"{plain[:half]}...{plain[-half:]}"
+
+
+def shortened(text: str, most: int = MOST_SAID) -> str:
+    """A message without the middle of what is too long to be read."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
 def escaped(text: str, *, styled: bool = False) -> str:

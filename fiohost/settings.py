@@ -79,6 +79,8 @@ def read_text(path: Path) -> str:
 
 def parse_toml(text: str, where: str) -> Table:
     """A strict table of TOML text. Raises ConfigError."""
+    if not text.strip():
+        raise ConfigError(f"{files.shown(where)} is empty: write its keys, or name another file")
     try:
         return Table(tomllib.loads(text.replace("\r\n", "\n")), where)
     except (ValueError, RecursionError) as exc:  # not TOML, numbers or nesting beyond all measure

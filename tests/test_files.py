@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, FiohostError, LogError
 
 STEP = 'schema = "fiohost.experiment/1"\n[[command]]\nkind = "steps"\ntimes_s = [0.0]\nlevels_pct = [40.0]\n'
-STEP += "duration_s = 0.3\n"
+STEP += "duration_s = 0.6\n"
 
 
 @pytest.fixture(autouse=True)
@@ -216,6 +217,76 @@ def test_a_name_plays_no_tricks_with_the_terminal() -> None:
     assert "\\x1b[2Jgone\\x07\\x202eslice" in said
     assert "\x1b" not in said
     assert len(refused("run", "x" * 5000)) < 1000
+
+
+def test_what_cannot_be_read_is_exit_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    done("run", "e.toml", "--log", "log.csv")
+    real = os.open
+
+    def forbidden(path: object, flags: int, *more: int) -> int:
+        if str(path) == "log.csv":
+            raise PermissionError(13, "Permission denied")
+        return real(path, flags, *more)  # type: ignore[call-overload, no-any-return]
+
+    monkeypatch.setattr(os, "open", forbidden)
+    monkeypatch.setattr(os, "access", lambda path, mode, **more: str(path) != "log.csv")
+    assert "cannot read the log log.csv: Permission denied" in refused("identify", "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "command", "said"),
+    [
+        ("m.toml", "", ["simulate", "log.csv", "--model", "m.toml", "-o", "o.csv"], "is empty"),
+        ("p.toml", None, ["run", "e.toml", "--target", "sim:./p.toml"], "beyond what any motor has"),
+        ("r.toml", None, ["diagnose", "--readings", "r.toml"], "is not a number within 1e+09"),
+    ],
+)
+def test_numbers_and_files_that_make_no_sense_are_refused(
+    name: str, text: str | None, command: list[str], said: str
+) -> None:
+    done("run", "e.toml", "--log", "log.csv")
+    plant = (ROOT / "configs/plants/default.toml").read_text()
+    page = (ROOT / "docs/readings.md").read_text()
+    readings = page.partition("```toml\n")[2].partition("```")[0].replace("kp = 1.5", "kp = 1e308")
+    Path(name).write_text(
+        text if text is not None else {"p.toml": plant + "\n[effects.constant_load]\ntorque_Nm = 1e18\n",
+                                       "r.toml": readings}[name]
+    )  # fmt: skip
+    assert said in refused(*command)
+
+
+def test_long_values_are_cut_in_messages() -> None:
+    Path("long.toml").write_text(f'schema = "{"x" * 100_000}"\n')
+    assert len(refused("run", "long.toml")) < 2000
+
+
+def test_umlauts_in_a_locale_without_them_end_no_command() -> None:
+    Path("e.toml").rename("Schlüssel-☃.toml")
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
+    command = [sys.executable, "-m", "fiohost", "run", "Schlüssel-☃.toml", "--log", "Prüf.csv", "--json", "-"]
+    said = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert said.returncode == 0, said.stderr
+    assert json.loads(said.stdout)["log"] == "Prüf.csv"
+    assert b"Traceback" not in said.stderr
+
+
+def test_a_name_with_dollar_signs_is_drawn_as_it_is() -> None:
+    done("run", "e.toml", "--log", "$x^$.csv")
+    done("identify", "$x^$.csv", "--from", "duty", "--plot", "p.png")
+    assert Path("p.png").stat().st_size > 5000
+
+
+def test_identify_and_simulate_say_what_they_left_out() -> None:
+    done("run", "e.toml", "--log", "log.csv")
+    lines = Path("log.csv").read_text().splitlines(keepends=True)
+    Path("torn.csv").write_text("".join(lines[:-4]) + "0.29,40")
+    for command in (
+        ["identify", "torn.csv", "--from", "duty"],
+        ["simulate", "torn.csv", "--model", "linear", "-o", "out.csv"],
+    ):
+        result = fiohost(*command)
+        assert result.exit_code == 0, result.output
+        assert "the last line, which is cut off in its middle" in result.stdout
 
 
 def test_an_output_of_one_run_may_be_read_by_the_same_command() -> None:

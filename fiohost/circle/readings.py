@@ -20,6 +20,7 @@ from fiohost.settings import Table as Toml
 from fiohost.settings import nearest, read_text, read_toml
 
 SCHEMA = "fiohost.readings/1"
+MOST = 1e9  # of any reading: beyond it squares and sums lose their sense
 COMMON = ("title", "source", "table", "row", "only", "figures")
 KINDS = {
     "response": ("step", "controller", "deadband", "encoder"),
@@ -57,8 +58,10 @@ class _Rows:
             number = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):
             number = math.nan
-        if not math.isfinite(number):
-            raise ConfigError(f"{self.where} row {index + 1}: {column} = {str(value)[:40]!r} is not a finite number")
+        if not abs(number) <= MOST:  # NaN and infinity too
+            raise ConfigError(
+                f"{self.where} row {index + 1}: {column} = {str(value)[:40]!r} is not a number within {MOST:g}"
+            )
         return number
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from fiohost.cli.options import PATH
 from fiohost.cli.output import json_option, output_for
 from fiohost.errors import LogError
 
@@ -15,7 +16,7 @@ SCHEMA = "fiohost.check/1"
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @json_option
 def check(logs: Sequence[Path], json_to: str | None) -> None:
     """Say of each LOG whether it is whole, cut off or altered since it was written, and what is missing.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fiohost.cli.options import parse_seed, wire_options
+from fiohost.cli.options import PATH, parse_seed, wire_options
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.files import report_folder
@@ -19,7 +19,7 @@ from fiohost.files import report_folder
 @click.option("--model", default="linear+coulomb_friction", show_default=True, metavar="M", help="Declared model.")
 @click.option(
     "--report",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="DIR",
     help="Folder of logs, page and plots. [default: close-loop, or close-loop-N]",
 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fiohost.cli.options import PATH
 from fiohost.cli.output import json_option, output_for
 from fiohost.files import claim
 
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 
 
 @click.command("import")
-@click.argument("table", type=click.Path(path_type=Path))
+@click.argument("table", type=PATH)
 @click.option("--map", "map_name", required=True, metavar="MAP", help="Map file, or the name of a shipped one.")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="LOG", help="Log to write.")
+@click.option("-o", "--output", required=True, type=PATH, metavar="LOG", help="Log to write.")
 @json_option
 def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> None:
     """Make a log of any table of numbers (CSV, TSV) with a MAP that names its columns and units.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_number, profile_option
+from fiohost.cli.options import PATH, parse_number, profile_option
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.errors import ConfigError
 from fiohost.files import claim
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     "--derivative-on", default="angle", show_default=True, metavar="angle|error", help="What is differentiated."
 )
 @click.option("--sample-time", default="0.005", show_default=True, metavar="S", help="Tick of the loop.")
-@click.option("--save", "save_to", type=click.Path(path_type=Path), metavar="FILE", help="Controller file for run.")
-@click.option("--plot", "plot_to", type=click.Path(path_type=Path), metavar="F", help="Picture of the responses.")
+@click.option("--save", "save_to", type=PATH, metavar="FILE", help="Controller file for run.")
+@click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the responses.")
 @json_option
 def design(
     model: str, controller: str, overshoot: str, settling: str, sse: str, band: str, steps: str, limit: str,

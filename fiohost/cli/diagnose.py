@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_seed
+from fiohost.cli.options import PATH, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG]...")
+@click.argument("logs", nargs=-1, type=PATH, metavar="[LOG]...")
 @click.option(
     "--readings",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="A readings file, a table of figures instead of logs; repeat it for more.",
 )
 @click.option(
     "--holdout",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="LOG",
     help="A log that only reports; repeat it for more.",
 )
@@ -42,10 +42,8 @@ if TYPE_CHECKING:
     help="Declared model: linear+EFFECT+... or a model file.",
 )
 @json_option
-@click.option(
-    "--save-model", type=click.Path(path_type=Path), metavar="FILE", help="Write the final model, for simulate."
-)
-@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
+@click.option("--save-model", type=PATH, metavar="FILE", help="Write the final model, for simulate.")
+@click.option("--report", type=PATH, metavar="DIR", help="Write a page and plots into DIR.")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
 @click.option(
     "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
@@ -163,13 +161,11 @@ def _diagnose_readings(
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=PATH)
 @click.option(
     "--model", required=True, metavar="FILE", help="A model file (from diagnose --save-model) or an expression."
 )
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="OUT.csv", help="Table to write."
-)
+@click.option("-o", "--output", required=True, type=PATH, metavar="OUT.csv", help="Table to write.")
 @click.option("--map", "table_map", metavar="MAP", help="LOG is a foreign table; MAP says how to read it.")
 @json_option
 def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to: str | None) -> None:
@@ -194,9 +190,12 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
         f"{output}: {len(found.output)} rows of {found.output_name}; against the log {errors.free_run_rms:.4g} "
         f"{found.unit} rms over the whole run, {errors.window_rms:.4g} {found.unit} in 1 s windows"
     )
+    for note in source.dropped:
+        say(f"note: {source.path}: left out or doubtful: {note}")
     say.json(
         {
             "schema": "fiohost.simulation/1",
+            "dropped": source.dropped,
             "log": str(log),
             "model": chosen.expression,
             "output": str(output),

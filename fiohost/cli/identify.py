@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_number
+from fiohost.cli.options import PATH, parse_number
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.files import claim
 
@@ -25,7 +25,7 @@ NAMES = {
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @click.option("--method", default="pem", show_default=True, metavar="step|pem", help="Step figures, or a fit.")
 @click.option(
     "--from", "fitted", metavar="reference|duty",
@@ -33,8 +33,8 @@ NAMES = {
 )  # fmt: skip
 @click.option("--kp", metavar="K", help="Gain of the P controller in percent per degree.  [default: as the logs say]")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
-@click.option("--save-model", type=click.Path(path_type=Path), metavar="FILE", help="Write the motor as a model file.")
-@click.option("--plot", "plot_to", type=click.Path(path_type=Path), metavar="F", help="Picture of the first log.")
+@click.option("--save-model", type=PATH, metavar="FILE", help="Write the motor as a model file.")
+@click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the first log.")
 @json_option
 def identify(
     logs: Sequence[Path],
@@ -67,8 +67,12 @@ def identify(
     from fiohost.circle.evidence import read_logs
     from fiohost.estimation.logs import identify as run
 
-    found = run(read_logs(logs, table_map), method, fitted=fitted, kp_pct_per_deg=gain)
+    read = read_logs(logs, table_map)
+    found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
+    dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
+    for name, notes in dropped.items():
+        out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")
     if save_model is not None:
         found.model.write(save_model, f"identified by {found.method} from {', '.join(str(log) for log in logs)}")
         out(f"model written to {save_model}")
@@ -81,7 +85,7 @@ def identify(
             plot_identification(f"Identification from {found.curves[0].name}", {label: found.curves[0]}), plot_to
         )
         out(f"plot: {plot_to}")
-    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model})
+    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model, "dropped": dropped})
 
 
 def motor_text(found: Identification) -> str:

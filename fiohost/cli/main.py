@@ -105,12 +105,12 @@ def _say_notes(exc: BaseException) -> None:
 
 
 def _say(text: str) -> None:
-    from fiohost.files import escaped
+    from fiohost.files import escaped, shortened
 
     for handler in logging.getLogger("fiohost").handlers:
         handler.flush()  # what was said before comes before
     with suppress(OSError):  # the terminal may have gone
-        click.echo(escaped(text), err=True)
+        click.echo(shortened(escaped(text)), err=True)
 
 
 def _leave(code: int) -> NoReturn:
@@ -199,6 +199,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started us
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (for as long as the process lives)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # a locale that has no umlauts ends no command
     _hear(logging.WARNING)
     cli.main(args=list(arguments) if arguments is not None else None, prog_name="fiohost")
 

@@ -82,8 +82,9 @@ def write_json(json_to: str | None, result: Any) -> None:
     """Write strict JSON (NaN and infinity become null) to a file, or to standard output for ``-``."""
     if json_to is None:
         return
-    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-    if json_to == "-":
+    to_stream = json_to == "-"  # whose encoding is anybody's
+    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=to_stream) + "\n"
+    if to_stream:
         click.echo(text, nl=False)
         return
     files.write_output(json_to, text)

@@ -29,6 +29,7 @@ LINE_CYCLE = (AFTER, BEFORE, FLOOR, "#CC79A7", "#56B4E9", "#E69F00")
 ROLES = {"train": "training", "holdout": "held out", "confirm": "fresh record, never used before"}
 MAX_POINTS = 3000
 STYLE: dict[Any, Any] = {
+    "text.parse_math": False,  # a name with dollar signs is no formula
     "font.size": 10.0,
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",

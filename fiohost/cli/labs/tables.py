@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_seed
+from fiohost.cli.options import PATH, parse_seed
 from fiohost.cli.output import output_for
 from fiohost.cli.progress import progress
 
 
 @click.command()
 @click.option(
-    "--readings", multiple=True, required=True, type=click.Path(path_type=Path), metavar="FILE",
+    "--readings", multiple=True, required=True, type=PATH, metavar="FILE",
     help="A readings file, fiohost.readings/1; repeated files are judged together.",
 )  # fmt: skip
 @click.option(
