@@ -18,7 +18,6 @@ logger = logging.getLogger("fiohost.bench")
 
 REST_S = 0.1  # at rest: no count for this long
 SETTLE_LIMIT_S = 5.0
-BRAKE_REPEATS = 5  # a brake may be lost on its way, and nobody else would send another
 STILL_TICKS = 5  # a simulated shaft is believed to stand after this many equal readings, and as many in silence
 BRAKE_LIMIT_S = 1.0
 STAND_COUNTS = 1  # a sensor on an edge may go to and fro by one count at rest
@@ -134,14 +133,12 @@ def brake(line: Line) -> None:
                 break
         return
     shaft, heard_s = Shaft(line), line.clock.now_s()
-    for turn in range(round(STAND_LIMIT_S / line.profile.sample_time_s)):
+    for _ in range(round(STAND_LIMIT_S / line.profile.sample_time_s)):
         line.send(BRAKE_COMMAND)  # one a step: a target that takes them so would lag behind a heap of them
         reading = _listen(line)
         if reading is not None:
             heard_s = line.clock.now_s()
             shaft.note(line.steps, reading.pos)
-        if turn + 1 < BRAKE_REPEATS:
-            continue
         if shaft.stands or line.clock.now_s() - heard_s > SILENCE_LIMIT_S:
             break
     if shaft.stands or not line.transport.can_reopen:  # a recorded trace hears no brake
