@@ -289,6 +289,14 @@ def test_identify_and_simulate_say_what_they_left_out() -> None:
         assert "the last line, which is cut off in its middle" in result.stdout
 
 
+def test_identify_takes_what_is_enough_of_a_very_long_log_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 100)
+    done("run", "e.toml", "--log", "log.csv")
+    result = fiohost("identify", "log.csv", "--from", "duty")
+    assert result.exit_code == 0, result.output
+    assert "all after the first 100 of 120 rows (0.495 s)" in result.stdout
+
+
 def test_an_output_of_one_run_may_be_read_by_the_same_command() -> None:
     with files.command():
         writer = LogWriter("x.csv", {"counts_per_rev": "720", "sample_time_s": "0.005"})

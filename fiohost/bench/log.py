@@ -145,6 +145,14 @@ class Log:
         log = cls(metadata, columns, path, sha256, tuple(notes))
         return cls(metadata, columns, path, sha256, (*notes, *log._doubts()))
 
+    def first(self, rows: int) -> Log:
+        """The log of the first *rows* rows, which says so; the log itself where it has no more."""
+        if len(self) <= rows:
+            return self
+        note = f"all after the first {rows} of {len(self)} rows ({self.time_s[rows - 1]:g} s), which are enough"
+        columns = {name: values[:rows] for name, values in self.columns.items()}
+        return Log(self.metadata, columns, self.path, self.sha256, (*self.dropped, note))
+
     # ---- what it says -----------------------------------------------------------------------------------------
 
     def __len__(self) -> int:
