@@ -151,6 +151,7 @@ def test_a_reader_of_standard_error_who_stops_reading(board: PtyBoard, tmp_path:
 
 def test_a_guardian_that_was_ended_is_missed(board: PtyBoard, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fiohost.bench.guardian.DEAF_LIMIT_S", 0.5)
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
     with board.bench() as bench:
         assert bench._guardian is not None
         pid = bench._guardian.pid

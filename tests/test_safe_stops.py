@@ -49,6 +49,8 @@ class Host:
             f"serial:{board.target}",
             "--guard",
             f"gap_s={gap_s}",
+            "--guard",
+            "late_pct=100",
         ]
         with self.errors.open("w") as errors:
             self.process = subprocess.Popen(command, cwd=folder, **{"stderr": errors, "text": True, **how})
@@ -239,6 +241,8 @@ def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Pat
         f"serial:{board.target}",
         "--guard",
         "gap_s=20",
+        "--guard",
+        "late_pct=100",
     ]
     assert subprocess.run([*shell, *arguments], cwd=tmp_path, timeout=LIMIT_S, check=False).returncode == 0
     whole(tmp_path / "run.csv", "complete")
@@ -317,7 +321,8 @@ def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path
     assert Log.read(host.log).metadata["ending"].startswith("stopped: MotorRunningError")
 
 
-def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
+def test_a_board_that_runs_already_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
     with PtyBoard(runs_away=True) as board, board.bench() as bench:
         with pytest.raises(MotorRunningError, match="before the run"):
             bench.drive(40.0, 1.0)
@@ -325,7 +330,10 @@ def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
         board.runs_away = False
 
 
-def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyBoard) -> None:
+def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(
+    board: PtyBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
     with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
         board.runs_away = True
         assert len(bench.drive(0.0, 0.1)) > 0

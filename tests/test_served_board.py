@@ -81,6 +81,8 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
             target,
             "--guard",
             "gap_s=20",
+            "--guard",
+            "late_pct=100",
         ]
         host = subprocess.Popen(
             [sys.executable, "-c", PATIENT_HOST, *arguments],
@@ -113,7 +115,7 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
 
 def test_the_board_is_driven_as_in_this_process(tmp_path: Path) -> None:
     with served(tmp_path / "board") as board:
-        with connect(f"serial:{tmp_path / 'board'}") as bench:
+        with connect(f"serial:{tmp_path / 'board'}", guards={"gap_s": 20.0, "late_pct": 100.0}) as bench:
             log = bench.drive(40.0, 1.5)
         with connect("sim") as bench:
             there = bench.drive(40.0, 1.5)

@@ -55,26 +55,24 @@ class Rate:
 
     def __init__(self, name: str, profile: TargetProfile) -> None:
         self._name, self._profile = name, profile
-        self._first: tuple[float, int] | None = None
-        self._last = (0.0, 0)
+        self._last: tuple[float, int] | None = None  # None: the next interval says nothing
+        self._seconds, self._steps = 0.0, 0
 
-    def note(self, time_s: float, step: int) -> None:
-        """A reading came, of that step of the board."""
-        self._first = self._first or (time_s, step)
-        self._last = (time_s, step)
-
-    def begin(self) -> None:
-        """This computer was late: what was noted says nothing of the board."""
-        self._first = None
+    def note(self, time_s: float, step: int, *, host_was_late: bool = False) -> None:
+        """A reading came, of that step of the board. Where this computer was late, neither the interval before nor the
+        one after it says anything of the board.
+        """
+        if self._last is not None and not host_was_late:
+            self._seconds += time_s - self._last[0]
+            self._steps += step - self._last[1]
+        self._last = None if host_was_late else (time_s, step)
 
     def is_right(self) -> bool:
         """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
-        if self._first is None:
-            return True
-        steps = self._last[1] - self._first[1]
+        steps = self._steps
         if steps == 0:
-            return False
-        step_s, wanted_s = (self._last[0] - self._first[0]) / steps, self._profile.sample_time_s
+            return self._last is None
+        step_s, wanted_s = self._seconds / steps, self._profile.sample_time_s
         if abs(step_s / wanted_s - 1.0) <= RATE_TOLERANCE:
             return True
         if steps < RATE_STEPS:

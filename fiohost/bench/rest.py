@@ -79,9 +79,7 @@ def settle(line: Line, stop: StopSignals) -> bool:
         if reading is None:
             continue
         if real_line and line.clock.real and turn >= SILENT_TICKS:
-            if line.host_was_late:
-                rate.begin()
-            rate.note(line.read_s, line.steps)
+            rate.note(line.read_s, line.steps, host_was_late=line.host_was_late)
         shaft.note(line.steps, reading.pos)
         quiet = quiet + 1 if reading.pos == last else 0
         last = reading.pos

@@ -219,4 +219,5 @@ def _fixed(line: str, size: int) -> str:
 
 def _clean(text: str, most: int) -> str:
     """One line, without control characters, so that no value can forge a line of the file."""
-    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", str(text))[:most].strip()
+    plain = str(text).encode(errors="surrogateescape").decode(errors="replace")  # a name in an odd locale
+    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", plain)[:most].strip()

@@ -92,8 +92,10 @@ def write_json(json_to: str | None, result: Any) -> None:
 
 def plain(value: Any) -> Any:
     """The same value in JSON's own types: arrays become lists, paths text, NaN and infinity null."""
-    if value is None or isinstance(value, (str, bool, int)):
+    if value is None or isinstance(value, (bool, int)):
         return value
+    if isinstance(value, str):  # a name in an odd locale is bytes in disguise
+        return value.encode(errors="surrogateescape").decode(errors="replace")
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -102,4 +104,4 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):  # numpy, without importing it
         return plain(value.tolist())
-    return str(value)
+    return plain(str(value))

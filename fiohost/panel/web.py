@@ -39,7 +39,7 @@ webagg: Any = backend_webagg_core  # it has no types
 
 FRAME_S = 0.08
 ACK_LIMIT_S = 1.0  # a browser that paints no slower than this gets every frame
-PING_S = 2.0  # a browser that answers no ping for so long has gone
+PING_S = 10.0  # a browser that answers no ping for so long has gone; who drives is watched by frames
 MAX_MESSAGE_BYTES = 4000
 MAX_HEADER_BYTES = 16_000
 MAX_BROWSERS = 20
