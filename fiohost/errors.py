@@ -38,12 +38,24 @@ class TelemetryTimeoutError(TransportError):
     """No telemetry arrived in time."""
 
 
+class MotorRunningError(TransportError):
+    """The brake was sent, but nothing says that the shaft stands."""
+
+
+class HostError(FiohostError):
+    """This computer did not keep up: a run on a real board was ended and the motor braked."""
+
+
 class ReportError(TransportError):
     """A report does not fit its layout; ``reason`` is one word for counting: length, header, crc, values, ..."""
 
     def __init__(self, message: str, reason: str = "values") -> None:
         super().__init__(message)
         self.reason = reason
+
+
+class GuardError(FiohostError):
+    """The motor does not do what it is told: it stands, turns the wrong way, or its encoder cannot be believed."""
 
 
 class LimitError(FiohostError):

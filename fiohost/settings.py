@@ -7,12 +7,15 @@ refused in one sentence that names the file, the key and the nearest valid one.
 from __future__ import annotations
 
 import difflib
+import errno
 import math
+import os
 import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fiohost import files
 from fiohost.errors import ConfigError
 
 MAX_CONFIG_BYTES = 1_000_000
@@ -40,26 +43,48 @@ def find_config(kind: str, name: str | Path) -> Path:
     """Find a file by path, or by name among the shipped ones. Raises ConfigError naming the nearest known name."""
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
-        if path.is_file():
+        if exists(path):
             return path
-        raise ConfigError(f"no file {str(path)!r}; shipped {kind}: {', '.join(config_names(kind))}")
+        raise ConfigError(f"no file {files.shown(path)!r}; shipped {kind}: {', '.join(config_names(kind))}")
     for folder in config_dirs(kind):
-        if (folder / f"{name}.toml").is_file():
+        if exists(folder / f"{name}.toml"):
             return folder / f"{name}.toml"
-    raise ConfigError(f"unknown name {str(name)!r} in {kind}; {nearest(str(name), config_names(kind))}")
+    raise ConfigError(f"unknown name {files.shown(name)!r} in {kind}; {nearest(str(name), config_names(kind))}")
+
+
+def exists(path: Path) -> bool:
+    """Whether there is something of that name, of whatever kind: the reader says what is wrong with it."""
+    try:
+        os.lstat(path)
+    except OSError as exc:
+        return exc.errno not in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
+    except ValueError:  # a zero byte in the name
+        return False
+    return True
 
 
 def read_toml(path: Path) -> Table:
     """Parse a TOML file into a strict table. Raises ConfigError."""
+    return parse_toml(read_text(path), str(path))
+
+
+def read_text(path: Path) -> str:
+    """The text of a settings file. Raises ConfigError."""
+    data = files.read_input(path, MAX_CONFIG_BYTES, "the settings file", ConfigError)
     try:
-        if path.stat().st_size > MAX_CONFIG_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_CONFIG_BYTES} bytes, this is not a settings file")
-        with path.open("rb") as handle:
-            return Table(tomllib.load(handle), str(path))
-    except OSError as exc:
-        raise ConfigError(f"cannot read {path}: {exc.strerror}") from exc
-    except (ValueError, RecursionError) as exc:  # not TOML, not UTF-8, numbers or nesting beyond all measure
-        raise ConfigError(f"{path} is not valid TOML: {exc}") from exc
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise ConfigError(f"{files.shown(path)} is not valid TOML: byte {exc.start} is not UTF-8 text") from exc
+
+
+def parse_toml(text: str, where: str) -> Table:
+    """A strict table of TOML text. Raises ConfigError."""
+    if not text.strip():
+        raise ConfigError(f"{files.shown(where)} is empty: write its keys, or name another file")
+    try:
+        return Table(tomllib.loads(text.replace("\r\n", "\n")), where)
+    except (ValueError, RecursionError) as exc:  # not TOML, numbers or nesting beyond all measure
+        raise ConfigError(f"{files.shown(where)} is not valid TOML: {exc}") from exc
 
 
 def _is_finite(value: Any) -> bool:

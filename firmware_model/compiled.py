@@ -1,19 +1,20 @@
 """Compilation of the board's kernel, kept on disk between runs.
 
 Numba looks only at the file of the compiled function to tell whether a kept copy is stale; this kernel is put
-together from many files. So the copies lie in a folder named by a hash of all of them, in the user's cache, in the
-temporary folder where that cannot be written, or nowhere at all: then each process compiles for itself.
+together from many files. So the copies lie in a folder named by a hash of all of them, in the user's cache. To load a
+copy is to run it: a folder that is not this user's own and closed to everybody else is not used, and each process then
+compiles for itself.
 """
 
 from __future__ import annotations
 
 import contextlib
-import getpass
 import hashlib
 import os
 import platform
+import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -42,32 +43,55 @@ def _fingerprint() -> str:
     return hasher.hexdigest()
 
 
-def _roots() -> Iterator[Path]:
+def _root() -> Path:
     named = os.environ.get("XDG_CACHE_HOME")
-    if named:
-        yield Path(named)
-    else:
-        with contextlib.suppress(RuntimeError):  # no home is known for this user
-            yield Path.home() / ".cache"
-    try:
-        user = getpass.getuser()
-    except (OSError, KeyError, ImportError):
-        user = "anyone"
-    yield Path(tempfile.gettempdir()) / f"cache-of-{user}"
+    return Path(named) if named else Path.home() / ".cache"
 
 
 @lru_cache(maxsize=1)
 def kept_in() -> str:
-    """A folder that can be written, or the empty string."""
-    for root in _roots():
-        folder = root / "firmware_model" / _fingerprint()
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with tempfile.TemporaryFile(dir=folder):
-                return str(folder)
-        except OSError:
-            continue
-    return ""
+    """A folder of this user's own that can be written, or the empty string."""
+    try:
+        root = _root()
+        root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if _others_can_replace(root.resolve()):
+            return ""
+        folder = root
+        for name in ("firmware_model", _fingerprint()):
+            folder = folder / name
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir(mode=0o700)
+            if not _is_own(folder):
+                return ""
+        with tempfile.TemporaryFile(dir=folder):
+            return str(folder)
+    except (OSError, RuntimeError):  # RuntimeError: no home is known for this user
+        return ""
+
+
+def _others_can_replace(place: Path) -> bool:
+    """Whether somebody but this user and root may rename what lies in a folder or in one above it."""
+    if os.name != "posix":
+        return False
+    for folder in (place, *place.parents):
+        found = folder.stat()
+        shared = stat.S_IMODE(found.st_mode) & 0o022 and not found.st_mode & stat.S_ISVTX
+        if shared or found.st_uid not in (0, os.getuid()):
+            return True
+    return False
+
+
+def _is_own(folder: Path) -> bool:
+    """A folder and no link, of this user, closed to others; one that others could only read is closed now."""
+    if os.name != "posix":
+        return True
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        return False
+    if stat.S_IMODE(found.st_mode) & 0o022 and any(folder.iterdir()):
+        return False
+    folder.chmod(0o700)
+    return True
 
 
 def part(function: Callable[..., Any], *, inline: bool = False) -> Any:

@@ -5,7 +5,10 @@ Its file also holds what a board around it may have: missing pull-ups, a watchdo
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,6 +22,7 @@ from firmware_model.reading import number, parameters, unknown
 from firmware_model.registry import effects
 
 TINY = 1e-12
+MAX_BYTES = 1_000_000  # of a plant's file
 
 MOTOR = (
     Parameter("R_ohm", lower=1e-3, upper=1e4),
@@ -190,6 +194,20 @@ def plant_names() -> list[str]:
     return sorted(path.stem for path in _folder().glob("*.toml"))
 
 
+def _text_of(path: Path) -> str:
+    """The text of a file of at most MAX_BYTES. Raises OSError, ValueError."""
+    fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))  # a pipe must not hold us
+    try:
+        if not stat.S_ISREG(os.fstat(fd).st_mode):
+            raise OSError(errno.EINVAL, "it is not a file, but a folder, a device or a pipe")
+        data = os.read(fd, MAX_BYTES + 1)
+    finally:
+        os.close(fd)
+    if len(data) > MAX_BYTES:
+        raise OSError(errno.EFBIG, f"it is larger than {MAX_BYTES // 1_000_000} MB, more than a plant can need")
+    return data.decode("utf-8")
+
+
 def load_plant(path_or_name: str | Path) -> Plant:
     """A plant by the name of a shipped one, or from a TOML file (a name with a slash or ending in .toml)."""
     text = str(path_or_name)
@@ -198,7 +216,7 @@ def load_plant(path_or_name: str | Path) -> Plant:
     if not is_path and text not in plant_names():
         raise FirmwareModelError(f"no plant named {text!r}; there are: {', '.join(plant_names())}")
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(_text_of(path))
     except OSError as error:
         raise FirmwareModelError(f"cannot read plant file {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, numbers or nesting beyond all measure

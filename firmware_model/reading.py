@@ -11,6 +11,7 @@ from firmware_model.effect import Parameter
 from firmware_model.errors import FirmwareModelError
 
 # Degrees are what people measure; the kernel computes in radians.
+BIGGEST = 1e6  # of what has no limit of its own: torques, voltages, stiffnesses; beyond it nothing can be computed
 CONVERSIONS = {("deg", "rad"): math.pi / 180.0, ("deg_s", "rad_s"): math.pi / 180.0}
 
 
@@ -46,6 +47,8 @@ def number(value: Any, key: str, where: str, lower: float, upper: float) -> floa
         raise FirmwareModelError(f"{where}: {key} is a whole number of hundreds of digits") from None
     if not math.isfinite(result):
         raise FirmwareModelError(f"{where}: {key} must be finite, not {value}")
+    if abs(result) > BIGGEST:
+        raise FirmwareModelError(f"{where}: {key} = {value} is beyond what any motor has ({BIGGEST:g})")
     if result < lower:
         raise FirmwareModelError(f"{where}: {key} = {value} is below its least value {lower:g}")
     if result > upper:

@@ -203,7 +203,7 @@ def test_the_command_saves_constants_that_the_experiments_take(tmp_path: Path) -
     assert constants.supply_V == 4.5
     assert (tmp_path / "characterise.png").stat().st_size > 10_000
     sealed = CliRunner().invoke(
-        cli, ["lab", "characterise", "--target", "sim:sealed", "--seed", "1", "--report", str(tmp_path)]
+        cli, ["lab", "characterise", "--target", "sim:sealed", "--seed", "1", "--report", str(tmp_path / "sealed")]
     )
     assert sealed.exit_code == 1
     assert "nothing but its wire" in sealed.stderr

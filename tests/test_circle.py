@@ -194,8 +194,8 @@ def test_without_a_seed_a_board_is_drawn_and_its_seal_kept(short_suite: None, mo
     assert result.exit_code == 0, result.output
     found = json.loads(Path("a.json").read_text())
     assert found["seal"]["seed"] == 3_000_000_006
-    assert Path("close-loop-1/report.html").is_file()
-    opened = fiohost("unseal", "close-loop-1/short_pulses.csv")
+    assert Path("close-loop/report.html").is_file()
+    opened = fiohost("unseal", "close-loop/short_pulses.csv")
     assert opened.exit_code == 0, opened.output
     assert found["seal"]["effects"][0] in opened.stdout
 

@@ -187,7 +187,9 @@ def test_a_saved_model_is_replayed_to_the_same_figures(
     assert saved["schema"] == "fiohost.model/1"
     assert saved["effects"] == ["coulomb_friction", "constant_load"]
     for path, told in zip([*logs, held], found["logs"], strict=True):
-        result = fiohost("simulate", path, "--model", out / "found.toml", "-o", out / "y.csv", "--json", out / "y.json")
+        result = fiohost(
+            "simulate", path, "--model", out / "found.toml", "-o", out / "y.csv", "--json", out / "y.json", "--force"
+        )
         assert result.exit_code == 0, result.output
         head = [line for line in (out / "y.csv").read_text().splitlines() if line.startswith("#")]
         table = np.loadtxt(out / "y.csv", delimiter=",", skiprows=len(head) + 1)

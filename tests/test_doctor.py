@@ -103,11 +103,16 @@ def test_timing_keeps_the_motor_braked_and_counts_each_tick() -> None:
     assert found.achievable_hz > 0.0
 
 
+PATIENT = ["--guard", "gap_s=20", "--guard", "late_pct=100"]  # a busy machine
+
+
 def test_the_doctor_looks_at_a_real_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 0.5)  # a busy machine holds up the board's thread
     with PtyBoard() as board:
         target, json_file = f"serial:{board.target}", tmp_path / "doctor.json"
-        answer = CliRunner().invoke(cli, ["doctor", "--target", target, "--seconds", "0.5", "--json", str(json_file)])
+        answer = CliRunner().invoke(
+            cli, ["doctor", "--target", target, "--seconds", "0.5", "--json", str(json_file), *PATIENT]
+        )
     found = json.loads(json_file.read_text())
     said = [finding["what"] for finding in found["findings"]]
     assert any(f"{target} opened" in what for what in said)

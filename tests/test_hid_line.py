@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lines import FakeHidapi, info
+from lines import FakeHidapi, info, patient
+from test_real_time import HandClock
 
 from fiohost.bench.loop import Bench
 from fiohost.bench.program import Answer
@@ -319,6 +320,10 @@ class Stepping(FakeHidapi):
 
     pos = 0
 
+    def __init__(self, *infos: dict[str, Any]) -> None:
+        super().__init__(*infos)
+        self.clock = HandClock()
+
     def device(self) -> Any:
         device = super().device()
         plain = device.read
@@ -326,7 +331,7 @@ class Stepping(FakeHidapi):
         def read(size: int, timeout_ms: int = 0) -> list[int]:
             if not timeout_ms:
                 return plain(size)
-            time.sleep(0.005)
+            self.clock.time_s += 0.005
             last = parse(self.written[-1][1:])
             if last is not None and last.compare:
                 self.pos = (self.pos + (5 if last.c3 else -5)) % 720
@@ -338,7 +343,7 @@ class Stepping(FakeHidapi):
 
 def test_a_bench_over_hid_brakes_first_and_last() -> None:
     module = Stepping(info())
-    with Bench(line(module), TargetProfile.load()) as bench:
+    with Bench(line(module), patient("hid-assumed"), clock=module.clock) as bench:
         log = bench.drive(-30.0, 0.2)
     commands = [parse(report[1:]) for report in module.written]
     assert all(command is not None for command in commands)
@@ -352,13 +357,15 @@ def test_a_bench_over_hid_brakes_first_and_last() -> None:
 def test_reports_that_a_full_queue_lost_are_missing_rows_by_the_clock() -> None:
     """While the host slept no report was kept, and none has a number."""
 
+    module = Stepping(info())
+
     class Sleeping:
         def step(self, k: int, angle_deg: float) -> Answer | None:
             if k == 10:
-                time.sleep(0.4)
+                module.clock.time_s += 0.4
             return (Command.drive(20.0), None) if k < 120 else None
 
-    with Bench(line(Stepping(info())), TargetProfile.load()) as bench:
+    with Bench(line(module), patient("hid-assumed"), clock=module.clock) as bench:
         log = bench.play(Sleeping())
     gap = int(np.argmax(np.diff(log.time_s)))
     assert log.time_s[gap] == pytest.approx(0.05, abs=0.1)

@@ -179,11 +179,11 @@ def test_missing_files_folders_and_unwritable_outputs_are_refused(tmp_path: Path
     table = write(tmp_path, GOOD)
     with pytest.raises(LogError, match="cannot read"):
         log_from_table(tmp_path / "absent.csv", make_map())
-    with pytest.raises(LogError, match="folder"):
+    with pytest.raises(LogError, match="it is a directory, not a file"):
         log_from_table(tmp_path, make_map())
-    with pytest.raises(LogError, match="cannot write"):
+    with pytest.raises(FiohostError, match="cannot write"):
         import_table(table, make_map(), tmp_path / "no such folder" / "log.csv")
-    with pytest.raises(LogError, match="table itself"):
+    with pytest.raises(FiohostError, match="it exists"):
         import_table(table, make_map(), table)
     assert table.read_text() == GOOD
 

@@ -21,7 +21,7 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def observed(*arguments: str) -> tuple[dict[str, Any], str]:
     """The result as JSON, and all answers as one text."""
-    done = fiohost("lab", "manual", "--report", "out", "--json", "out.json", *arguments)
+    done = fiohost("lab", "manual", "--report", "out", "--json", "out.json", "--force", *arguments)
     assert done.exit_code == 0, done.output
     result = json.loads(Path("out.json").read_text())
     return result, " ".join(answer["answer"] for answer in result["answers"])

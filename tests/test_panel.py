@@ -8,6 +8,7 @@ import math
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 from boards import WatchedTransport, bench_on, rows_of
 from desktop import Chromium, Screen, needed, until
+from lines import PtyBoard
 from test_cli_drive import FIOHOST, ROOT, refused
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -163,6 +165,7 @@ def test_the_limits_of_the_target_hold_for_a_person_too() -> None:
     assert max(log.duty_pct) == 30.0
     assert np.diff(log.duty_pct).max() <= 0.5 + 1e-4
     for limit in ({"travel_deg": 90.0}, {"run_time_s": 0.5}):
+        Path("run.csv").unlink()
         transport, _, run = play({2: act("duty", 70.0)}, **limit)
         with pytest.raises(LimitError, match="limit of"):
             run()
@@ -376,36 +379,171 @@ async def refuses(where: str, **headers: str) -> bool:
     return False
 
 
+async def arrives(what: Callable[[], bool]) -> None:
+    for _ in range(6000):
+        if what():
+            return
+        await asyncio.sleep(0.02)
+    raise AssertionError("it did not come")
+
+
+class Tab:
+    """A browser's socket: answers pings, and paints what comes until it is frozen."""
+
+    frozen = False
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+        self.send, self.close = connection.write_message, connection.close
+        self._reads = asyncio.ensure_future(self._read())
+
+    async def _read(self) -> None:
+        while (came := await self._connection.read_message()) is not None:
+            if isinstance(came, bytes) and not self.frozen:
+                await self.send('{"type": "ack"}')
+
+
+async def joins(run: Run) -> Tab:
+    where = run.where().removeprefix("at ")
+    tab = Tab(await websocket_connect(where.replace("http://", "ws://").replace("/?", "/socket?")))
+    await tab.send('{"type": "refresh"}')
+    return tab
+
+
+def test_a_browser_that_paints_nothing_is_braked_for_though_its_socket_lives() -> None:
+    """The pictures are the dead man's switch: pings are answered by a frozen page too."""
+
+    async def session(run: Run) -> None:
+        browser = await joins(run)
+        await browser.send(press(60.0))
+        await arrives(lambda: run.drives(60.0))
+        browser.frozen = True
+        await arrives(run.braked)
+        browser.frozen = False
+        await browser.send('{"type": "ack"}')
+        await browser.send(press(-40.0))
+        await arrives(lambda: run.drives(-40.0))  # back, and asked for
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--away", "5") as run:
+        asyncio.run(session(run))
+        assert run.ended()[0] == 130
+
+
+def test_one_browser_drives_at_a_time_and_floods_and_nonsense_change_nothing() -> None:
+    async def session(run: Run) -> None:
+        first, second = await joins(run), await joins(run)
+        await second.send(press(80.0))
+        await first.send(press(50.0))
+        await arrives(lambda: run.drives(50.0))
+        for key in ("", "Shift", "\u0000", "x" * 3000, "ctrl+\ud800", "F99"):
+            await first.send(json.dumps({"type": "key_press", "key": key}))
+        for _ in range(3000):
+            await second.send(press(80.0))
+        await arrives(lambda: run.drives(50.0))
+        first.close()
+        await arrives(run.braked)  # the second may drive now, and has to ask for it
+        await asyncio.sleep(3.0)  # its flood is forgotten
+        await second.send(press(-40.0))
+        await arrives(lambda: run.drives(-40.0))
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--away", "30") as run:
+        asyncio.run(session(run))
+        code, said, log = run.ended()
+        assert code == 130
+        assert "Traceback" not in said
+    assert log.duty_pct.max() < 60.0
+
+
+@pytest.mark.parametrize("bind", ["127.0.0.1", "0.0.0.0"])
+def test_names_of_others_and_addresses_without_the_token_are_refused(bind: str) -> None:
+    async def session(run: Run) -> None:
+        where = run.where().removeprefix("at ").replace(socket.gethostname(), "127.0.0.1")
+        plain, _, token = where.partition("?")
+        assert len(token) > 20
+        assert await refuses(where, Host="rebound.example")
+        assert await refuses(plain)
+        assert await refuses(plain + "?token=" + "x" * 22)
+        assert await refuses(plain + "mpl.js")
+        assert not await refuses(where)
+        for bad in (plain + "socket", where.replace("/?", "/socket?")):
+            headers = {"Host": "rebound.example"} if "token" in bad else {}
+            with pytest.raises(HTTPClientError, match="403"):
+                await websocket_connect(HTTPRequest(bad.replace("http://", "ws://"), headers=headers))
+        run.process.send_signal(signal.SIGINT)
+
+    with running("--web", "--port", "0", "--bind", bind) as run:
+        asyncio.run(session(run))
+        assert run.process.wait(240) == 130
+
+
+@pytest.mark.parametrize("bind", ["127.0.0.1/../", "no such name", "x" * 300, "\x1b[2J", "203.0.113.7"])
+def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
+    done = subprocess.run([*FIOHOST, "panel", "--web", "--bind", bind], capture_output=True, text=True, timeout=240)
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "cannot serve the panel at" in done.stderr
+
+
+def test_a_board_that_goes_silent_leaves_no_traceback(tmp_path: Path) -> None:
+    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}",
+                                      "--guard", "gap_s=20") as run:  # fmt: skip
+        run.until(run.braked)
+        board.unplug()
+        assert run.process.wait(240) == 1
+    said = "\n".join(run.said())
+    assert "went away" in said
+    assert "ConnectionResetError" not in said
+    assert "Process fiohost-panel" not in said
+
+
+def test_a_hostile_page_in_a_browser_cannot_drive(tmp_path: Path) -> None:
+    """It opens sockets and frames to every name of this computer, without the token."""
+    needed("chromium")
+    with running("--web", "--port", "0") as run, Chromium(tmp_path / "profile") as browser:
+        port = run.where().partition(":")[2].partition(":")[2].partition("/")[0]
+        hostile = tmp_path / "hostile.html"
+        hostile.write_text(
+            "<script>window.tried = 0; window.opened = 0;"
+            "for (const host of ['127.0.0.1', 'localhost', '[::1]']) {"
+            " for (const rest of ['', '?token=', '?token=a']) {"
+            f"  const s = new WebSocket(`ws://${{host}}:{port}/socket${{rest}}`);"
+            f"  s.onopen = () => {{ window.opened++; s.send({json.dumps(press(90.0))}); }};"
+            "   s.onerror = () => { window.tried++; };"
+            f"  fetch(`http://${{host}}:{port}/${{rest}}`).then(r => r.text()).then(t => "
+            "     { if (t.includes('token')) window.opened++; }).catch(() => {});"
+            "}}</script>"
+        )
+        browser.open(hostile.as_uri())
+        run.until(lambda: (browser.value("window.tried") or 0) >= 9)
+        assert browser.value("window.opened") == 0
+        run.process.send_signal(signal.SIGINT)
+        code, _, log = run.ended()
+        assert code == 130
+    assert not log.duty_pct.any()
+
+
 def test_sockets_that_leave_strangers_and_a_killed_display_all_leave_the_motor_braked() -> None:
     async def session(run: Run) -> None:
         where = run.where().removeprefix("at ")
-        host = where.removeprefix("http://").strip("/")
-        socket = f"ws://{host}/socket"
-        assert host.startswith("127.0.0.1:")
+        address = where.replace("http://", "ws://").replace("/?", "/socket?")
+        assert where.startswith("http://127.0.0.1:")
         assert await refuses(where, Host="evil.example")  # a name elsewhere made to point here
         with pytest.raises(HTTPClientError, match="403"):
-            await websocket_connect(HTTPRequest(socket, headers={"Origin": "http://evil.example"}))
-        browser = await websocket_connect(socket)
-        await browser.write_message('{"type": "refresh"}')
-        await browser.write_message("nonsense")
-        await browser.write_message(press(60.0))
-        await arrives(lambda: run.drives(60.0), browser)
+            await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
+        browser = await joins(run)
+        await browser.send("nonsense")
+        await browser.send(press(60.0))
+        await arrives(lambda: run.drives(60.0))
         browser.close()
-        await arrives(run.braked, None)  # the last has gone
-        again = await websocket_connect(socket)
-        await again.write_message('{"type": "refresh"}')
-        await again.write_message(press(-40.0))
-        await arrives(lambda: run.drives(-40.0), again)
+        await arrives(run.braked)  # the last has gone
+        again = await joins(run)
+        await again.send(press(-40.0))
+        await arrives(lambda: run.drives(-40.0))
         os.kill(run.display(), signal.SIGKILL)
 
-    async def arrives(what: Callable[[], bool], browser: Any) -> None:
-        for _ in range(3000):
-            if what():
-                return
-            await asyncio.sleep(0.02)
-        raise AssertionError("it did not come")
-
-    with running("--web", "--port", "0") as run:
+    with running("--web", "--port", "0", "--away", "20") as run:
         asyncio.run(session(run))
         code, said, log = run.ended()
     assert code == 1

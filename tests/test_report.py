@@ -16,7 +16,7 @@ import pytest
 from report_case import curve, diagnosis, error, series
 from rich.console import Console
 
-from fiohost.errors import LogError
+from fiohost.errors import FiohostError
 from fiohost.report import words
 from fiohost.report.page import write_page
 from fiohost.report.plots import save_plots
@@ -172,9 +172,9 @@ def test_missing_figures_leave_gaps_and_no_failure(tmp_path: Path) -> None:
 
 def test_an_unwritable_page_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(LogError, match="cannot write the page"):
+    with pytest.raises(FiohostError, match="cannot make the folder"):
         write_page(tmp_path / "file" / "page.html", title="t", diagnosis=diagnosis())
-    with pytest.raises(LogError, match="cannot write pictures"):
+    with pytest.raises(FiohostError, match="cannot make the folder"):
         save_plots(tmp_path / "file", [], diagnosis())
 
 

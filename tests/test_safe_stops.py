@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,11 +16,11 @@ from typing import IO, Any
 
 import pytest
 from boards import WatchedTransport, bench_on, rows_of
-from lines import BRAKE, PtyBoard
+from lines import BRAKE, PtyBoard, patient
 
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench
-from fiohost.transport.profile import TargetProfile
+from fiohost.errors import MotorRunningError
 from fiohost.transport.serial import SerialTransport
 
 ROOT = Path(__file__).parent.parent
@@ -35,9 +36,22 @@ DRIVE = ["manual", "--pwm", "40"]
 class Host:
     """``fiohost`` in a process of its own, on a board; its standard error goes to a file."""
 
-    def __init__(self, board: PtyBoard, folder: Path, *arguments: str, **how: Any) -> None:
+    def __init__(
+        self, board: PtyBoard, folder: Path, *arguments: str, gap_s: float = 20.0, code: str = PATIENT_HOST, **how: Any
+    ) -> None:
         self.board, self.log, self.errors = board, folder / "run.csv", folder / "errors.txt"
-        command = [sys.executable, "-c", PATIENT_HOST, *arguments, "--target", f"serial:{board.target}"]
+        command = [
+            sys.executable,
+            "-c",
+            code,
+            *arguments,
+            "--target",
+            f"serial:{board.target}",
+            "--guard",
+            f"gap_s={gap_s}",
+            "--guard",
+            "late_pct=100",
+        ]
         with self.errors.open("w") as errors:
             self.process = subprocess.Popen(command, cwd=folder, **{"stderr": errors, "text": True, **how})
 
@@ -87,7 +101,9 @@ def whole(log: Path, ending: str) -> None:
     assert read.metadata["ending"].startswith(ending)
 
 
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+@pytest.mark.parametrize(
+    ("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131), ("SIGTSTP", 148)]
+)
 def test_a_signal(board: PtyBoard, tmp_path: Path, name: str, code: int) -> None:
     host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", stdout=subprocess.DEVNULL)
     host.drives()
@@ -100,9 +116,7 @@ def test_a_signal(board: PtyBoard, tmp_path: Path, name: str, code: int) -> None
 @pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml"]])
 def test_a_reader_who_leaves(board: PtyBoard, tmp_path: Path, command: list[str]) -> None:
     """As ``fiohost ... | head -1`` does."""
-    (tmp_path / "step_40.toml").write_text(
-        'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
-    )
+    (tmp_path / "step_40.toml").write_text(STEP_40)
     host = Host(board, tmp_path, *command, "--log", "run.csv", stdout=subprocess.PIPE)
     assert host.process.stdout is not None
     host.process.stdout.readline()
@@ -118,18 +132,18 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
     """One that is the process's own hangs up with a signal, any other only takes no more text."""
     terminal, end = pty.openpty()
 
-    def take() -> None:
-        import fcntl
-        import termios
-
-        os.setsid()
-        if is_its_own:
-            fcntl.ioctl(end, termios.TIOCSCTTY, 0)
-
     streams: dict[str, int | IO[str]] = {"stdin": end, "stdout": end}
     if is_its_own:
         streams["stderr"] = end  # what is said last goes nowhere, and that changes nothing
-    host = Host(board, tmp_path, *DRIVE, "--log", "run.csv", preexec_fn=take, **streams)
+    host = Host(
+        board,
+        tmp_path,
+        *DRIVE,
+        "--log",
+        "run.csv",
+        preexec_fn=own_terminal(end) if is_its_own else os.setsid,
+        **streams,
+    )
     os.close(end)
     host.drives()
     os.close(terminal)
@@ -141,6 +155,58 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
         assert code == 1
         whole(host.log, "stopped: FiohostError")
         assert "the terminal has gone; the motor was braked" in host.said
+
+
+STEP_40 = 'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
+
+
+@pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml", "--log", "run.csv"]])
+@pytest.mark.parametrize(("key", "code"), [(b"\x1a", 148), (b"\x1c", 131)])
+def test_keys_that_stop_a_process_brake(
+    board: PtyBoard, tmp_path: Path, command: list[str], key: bytes, code: int
+) -> None:
+    """Ctrl-Z would leave the motor running and drive on at fg, Ctrl-\\ would end the host without a brake."""
+    (tmp_path / "step_40.toml").write_text(STEP_40)
+    terminal, end = pty.openpty()
+    if command[0] == "manual":
+        command = [*command, "--log", "run.csv"]
+    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)  # no keys: it asks for none
+    os.close(end)
+    host.drives()
+    os.write(terminal, key)
+    assert host.ended() == code
+    whole(host.log, "stopped by Ctrl-")
+    os.close(terminal)
+
+
+def test_ctrl_s_holds_nothing_up(board: PtyBoard, tmp_path: Path) -> None:
+    """Held output would hold the loop: it goes on, and Ctrl-C is heard."""
+    (tmp_path / "step_40.toml").write_text(STEP_40)
+    terminal, end = pty.openpty()
+    before = termios.tcgetattr(end)
+    command = ["run", "step_40.toml", "--log", "run.csv"]
+    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)
+    host.drives()
+    os.write(terminal, b"\x13")
+    host.drives(len(rows_of(host.log)) + 500)  # longer than from one shown line to the next
+    os.write(terminal, b"\x03")
+    assert host.ended() == 130
+    whole(host.log, "stopped by Ctrl-C")
+    assert termios.tcgetattr(end) == before
+    os.close(end)
+    os.close(terminal)
+
+
+def own_terminal(end: int) -> Any:
+    """Makes a child the leader of a session on that terminal, as a shell's job in the foreground is."""
+
+    def take() -> None:
+        import fcntl
+
+        os.setsid()
+        fcntl.ioctl(end, termios.TIOCSCTTY, 0)
+
+    return take
 
 
 def limited(size: int) -> Any:
@@ -165,7 +231,19 @@ def test_a_full_disk_under_what_is_said(board: PtyBoard, tmp_path: Path) -> None
 def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Path) -> None:
     """Standard output and error closed, as some services start their children: the run is the same."""
     shell = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-c", PATIENT_HOST]
-    arguments = [*DRIVE, "--duration", "0.5", "--log", "run.csv", "--target", f"serial:{board.target}"]
+    arguments = [
+        *DRIVE,
+        "--duration",
+        "0.5",
+        "--log",
+        "run.csv",
+        "--target",
+        f"serial:{board.target}",
+        "--guard",
+        "gap_s=20",
+        "--guard",
+        "late_pct=100",
+    ]
     assert subprocess.run([*shell, *arguments], cwd=tmp_path, timeout=LIMIT_S, check=False).returncode == 0
     whole(tmp_path / "run.csv", "complete")
     assert board.braked
@@ -217,13 +295,60 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
     def break_it(tick: object) -> None:
         line.fails = fails
 
-    with pytest.raises(RuntimeError, match="the reader died") as caught:  # noqa: SIM117 (the bench opens within)
-        with Bench(line, TargetProfile.load("serial-documented")) as bench:
+    with pytest.raises(RuntimeError, match=r"the (reader|writer) died") as caught:  # noqa: SIM117 (the bench opens within)
+        with Bench(line, patient("serial-documented")) as bench:
             bench.drive(40.0, 5.0, tmp_path / "run.csv", progress=break_it, progress_every_s=0.3)
     time.sleep(0.03)
-    assert board.braked == (fails == "reading")
-    assert any("MAY BE RUNNING" in note for note in caught.value.__notes__) == (fails == "both")
-    assert Log.read(tmp_path / "run.csv").metadata["ending"] == "stopped: RuntimeError: the reader died"
+    assert board.braked  # by the guardian, where the host cannot write
+    assert any("MAY BE RUNNING" in note for note in caught.value.__notes__)  # who does not read does not know
+    assert Log.read(tmp_path / "run.csv").metadata["ending"].startswith("stopped: RuntimeError: the ")
+
+
+# ---- a board that does not obey ------------------------------------------------------------------------------------
+
+
+def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path: Path) -> None:
+    """The brake was sent, and telemetry says that nobody heeded it."""
+    host = Host(board, tmp_path, *DRIVE, "--duration", "1", "--log", "run.csv", stdout=subprocess.PIPE)
+    host.drives()
+    board.runs_away = True
+    out, _ = host.process.communicate(timeout=LIMIT_S)
+    assert host.process.returncode == 1
+    assert "THE MOTOR MAY BE RUNNING" in host.said
+    assert "the shaft still turns at " in host.said
+    assert "braked" not in out
+    assert board.braked  # it was told so
+    assert Log.read(host.log).metadata["ending"].startswith("stopped: MotorRunningError")
+
+
+def test_a_board_that_runs_already_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
+    with PtyBoard(runs_away=True) as board, board.bench() as bench:
+        with pytest.raises(MotorRunningError, match="before the run"):
+            bench.drive(40.0, 1.0)
+        assert {tuple(command) for command in board.commands} == {BRAKE}
+        board.runs_away = False
+
+
+def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(
+    board: PtyBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
+    with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
+        board.runs_away = True
+        assert len(bench.drive(0.0, 0.1)) > 0
+
+
+def test_a_board_that_comes_back_and_ignores_the_brake_is_not_said_to_be_braked(tmp_path: Path) -> None:
+    link = str(tmp_path / "board")
+    with PtyBoard(link) as gone:
+        host = Host(gone, tmp_path, *DRIVE, "--reconnect", "60", "--log", "run.csv", stdout=subprocess.DEVNULL)
+        host.drives()
+        gone.unplug()
+        with PtyBoard(link, runs_away=True):
+            assert host.process.wait(LIMIT_S) == 1
+    assert "was braked first of all" not in host.said
+    assert "THE MOTOR MAY BE RUNNING; the board ignores commands" in host.said
 
 
 # ---- plugged in again ----------------------------------------------------------------------------------------------
@@ -245,5 +370,7 @@ def test_a_board_that_comes_back_is_braked_first_of_all_by_every_command_that_dr
             assert {tuple(taken) for taken in back.commands} == {BRAKE}
     assert code == 1
     assert "THE MOTOR MAY BE RUNNING; waiting for the board to come back" in host.said
+    assert "a board came back" in host.said
     assert "was braked first of all" in host.said
+    assert "it has no serial number, so that another one in its place looks the same" in host.said
     whole(host.log, "stopped: DisconnectedError")

@@ -60,15 +60,30 @@ def counts_since(link: Path, seconds: float) -> list[int]:
 
 
 @pytest.mark.parametrize("watchdog", [False, True])
-def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
+def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
     watchdog: bool, tmp_path: Path
 ) -> None:
+    """Host and guardian end at once."""
     link, log, trace = tmp_path / "board", tmp_path / "run.csv", tmp_path / "trace"
     profile = tmp_path / "guarded.toml"
     profile.write_text("watchdog_s = 0.1\n" + (ROOT / "configs/targets/serial-documented.toml").read_text())
     target = f"{profile if watchdog else 'serial'}:{link}"
     with served(link, *(["--watchdog", "0.1"] if watchdog else [])) as board:
-        arguments = ["manual", "--pwm", "40", "--log", str(log), "--trace", str(trace), "--target", target]
+        arguments = [
+            "manual",
+            "--pwm",
+            "40",
+            "--log",
+            str(log),
+            "--trace",
+            str(trace),
+            "--target",
+            target,
+            "--guard",
+            "gap_s=20",
+            "--guard",
+            "late_pct=100",
+        ]
         host = subprocess.Popen(
             [sys.executable, "-c", PATIENT_HOST, *arguments],
             stdout=subprocess.DEVNULL,
@@ -79,6 +94,8 @@ def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 80):
             time.sleep(0.02)
+        guardian = Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text().split()[0]
+        os.kill(int(guardian), signal.SIGKILL)
         host.kill()
         said = host.communicate()[1]
         counts = counts_since(link, 0.6)
@@ -98,7 +115,7 @@ def test_a_killed_host_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_
 
 def test_the_board_is_driven_as_in_this_process(tmp_path: Path) -> None:
     with served(tmp_path / "board") as board:
-        with connect(f"serial:{tmp_path / 'board'}") as bench:
+        with connect(f"serial:{tmp_path / 'board'}", guards={"gap_s": 20.0, "late_pct": 100.0}) as bench:
             log = bench.drive(40.0, 1.5)
         with connect("sim") as bench:
             there = bench.drive(40.0, 1.5)

@@ -152,7 +152,13 @@ def test_a_trace_is_not_recorded_over_itself(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert "another name" in done.stderr
     assert path.read_bytes() == before
-    assert run("manual", "--pwm", 30, "--duration", 0.05, "--fast", "--trace", path).exit_code == 0
+    again = ["manual", "--pwm", 30, "--duration", 0.05, "--fast", "--trace", path]
+    done = run(*again, "--target", f"replay:{path}", "--force")
+    assert done.exit_code == 1
+    assert "another name" in done.stderr
+    assert path.read_bytes() == before
+    assert run(*again).exit_code == 1
+    assert run(*again, "--force").exit_code == 0
     assert path.read_bytes().count(b"fiohost.trace/1") == 1  # anew
 
 
@@ -184,7 +190,6 @@ def test_a_full_disk_under_the_trace_ends_the_run_with_a_brake(tmp_path: Path, m
 
     def begin_full(self: TraceWriter, path: str | Path) -> None:
         begin(self, path)
-        self._file.close()
         self._file = Full()  # type: ignore[assignment]
 
     monkeypatch.setattr(TraceWriter, "__init__", begin_full)

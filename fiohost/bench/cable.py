@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 
 from fiohost.bench.clock import Clock
-from fiohost.errors import TelemetryTimeoutError, TransportError
+from fiohost.errors import MotorRunningError, TelemetryTimeoutError, TransportError
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import TargetProfile
 
@@ -25,7 +25,9 @@ def greet(transport: Transport, brake: bytes, clock: Clock, watchdog_s: float) -
     Raises TelemetryTimeoutError where it says nothing, after closing the line.
     """
     if transport.can_reopen and not watchdog_s:
-        logger.warning("the board has no watchdog: should this host die in mid-run, the motor runs on")
+        logger.warning(
+            "the board has no watchdog: should this computer die or the cable be pulled in mid-run, the motor runs on"
+        )
     try:
         transport.send(brake)
         deadline_s = clock.now_s() + START_LIMIT_S
@@ -53,22 +55,24 @@ class Rate:
 
     def __init__(self, name: str, profile: TargetProfile) -> None:
         self._name, self._profile = name, profile
-        self._first: tuple[float, int] | None = None
-        self._last = (0.0, 0)
+        self._last: tuple[float, int] | None = None  # None: the next interval says nothing
+        self._seconds, self._steps = 0.0, 0
 
-    def note(self, time_s: float, step: int) -> None:
-        """A reading came, of that step of the board."""
-        self._first = self._first or (time_s, step)
-        self._last = (time_s, step)
+    def note(self, time_s: float, step: int, *, host_was_late: bool = False) -> None:
+        """A reading came, of that step of the board. Where this computer was late, neither the interval before nor the
+        one after it says anything of the board.
+        """
+        if self._last is not None and not host_was_late:
+            self._seconds += time_s - self._last[0]
+            self._steps += step - self._last[1]
+        self._last = None if host_was_late else (time_s, step)
 
     def is_right(self) -> bool:
         """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
-        if self._first is None:
-            return True
-        steps = self._last[1] - self._first[1]
+        steps = self._steps
         if steps == 0:
-            return False
-        step_s, wanted_s = (self._last[0] - self._first[0]) / steps, self._profile.sample_time_s
+            return self._last is None
+        step_s, wanted_s = self._seconds / steps, self._profile.sample_time_s
         if abs(step_s / wanted_s - 1.0) <= RATE_TOLERANCE:
             return True
         if steps < RATE_STEPS:
@@ -101,8 +105,21 @@ def brake_when_back(
         try:
             transport.reopen()
             brake()
+        except MotorRunningError as exc:
+            return f"a board came back after {clock.now_s() - began_s:.1f} s, but {exc}"
         except Exception:  # of whatever kind: it is tried again
             clock.wait_until(clock.now_s() + RETRY_S)
         else:
-            return f"the board came back after {clock.now_s() - began_s:.1f} s and was braked first of all"
+            board = "the board" if transport.is_known_again else "a board"
+            doubt = (
+                ""
+                if transport.is_known_again
+                else (
+                    "; it has no serial number, so that another one in its place looks the same: see that it is the one"
+                )
+            )
+            return (
+                f"{board} came back after {clock.now_s() - began_s:.1f} s and was braked first of all: "
+                f"its shaft stands{doubt}"
+            )
     return running + f"; it was not back after {clock.now_s() - began_s:.1f} s"

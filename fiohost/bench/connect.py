@@ -33,6 +33,7 @@ class Asked:
 
     trace: TraceWriter | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
+    guards: Mapping[str, float] = field(default_factory=dict)
     reconnect_s: float = 0.0
 
 
@@ -41,15 +42,20 @@ _asked: ContextVar[Asked] = ContextVar("asked", default=Asked())  # noqa: B039 (
 
 @contextmanager
 def asking(
-    *, trace: str | Path | None = None, limits: Mapping[str, float] | None = None, reconnect_s: float = 0.0
+    *,
+    trace: str | Path | None = None,
+    limits: Mapping[str, float] | None = None,
+    guards: Mapping[str, float] | None = None,
+    reconnect_s: float = 0.0,
 ) -> Iterator[None]:
-    """Whatever is connected within has a trace written to that file, these limits, and waits so long for a board that
-    went away; see :func:`connect`.
+    """Whatever is connected within has a trace written to that file, these limits and guards, and waits so long for a
+    board that went away; see :func:`connect`.
     """
     before = _asked.get()
     writer = TraceWriter(trace) if trace is not None else None
     merged = {**before.limits, **(limits or {})}
-    token = _asked.set(Asked(writer or before.trace, merged, reconnect_s or before.reconnect_s))
+    changed = {**before.guards, **(guards or {})}
+    token = _asked.set(Asked(writer or before.trace, merged, changed, reconnect_s or before.reconnect_s))
     try:
         yield
     finally:
@@ -64,26 +70,31 @@ def connect(
     seed: int | None = None,
     realtime: bool = False,
     limits: Mapping[str, float] | None = None,
+    guards: Mapping[str, float] | None = None,
     reconnect_s: float = 0.0,
 ) -> Bench:
     """Open a target and return its bench (a context manager).
 
-    ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed*
-    or, without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and
-    a clock with faults. ``emulated:BOARD[:PLANT]`` is the firmware's machine code in an emulator, in lock step with
-    a plant. ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME
-    is a profile, shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port,
-    a serial number. Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's
-    ``[limits]``) can only be stricter than the profile's. A board that goes away in a run is waited for,
-    *reconnect_s*, and braked first of all when it is back; the run has ended. Raises ConfigError for an unknown
-    target or plant, TransportError where it cannot be opened.
+    ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed* or,
+    without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and a clock
+    with faults. ``emulated:BOARD[:PLANT]`` is the firmware's machine code in an emulator, in lock step with a plant.
+    ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME is a profile,
+    shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a serial number.
+    Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's ``[limits]``) can only be
+    stricter than the profile's, *guards* (keys of its ``[guards]``) take the place of its own. A board that goes away
+    in a run is waited for, *reconnect_s*, and braked first of all when it is back; the run has ended. Raises
+    ConfigError for an unknown target or plant, TransportError where it cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
     run_id = secrets.token_hex(8)
     transport, profile = open_target(target, seed=seed, run_id=run_id, realtime=realtime)
     asked = _asked.get()
-    profile = replace(profile, limits=profile.limits.within({**asked.limits, **(limits or {})}))
+    profile = replace(
+        profile,
+        limits=profile.limits.within({**asked.limits, **(limits or {})}),
+        guards=profile.guards.changed({**asked.guards, **(guards or {})}),
+    )
     clock: Clock = MonotonicClock()
     if transport.lock_step and not realtime:
         clock = VirtualClock()
@@ -100,9 +111,6 @@ def open_target(
     """The line to a target, not yet open, and the profile of its board. Raises ConfigError."""
     medium, rest, name = split_target(target)
     if medium == "replay":
-        trace = _asked.get().trace
-        if trace is not None and trace.path.resolve() == Path(rest).resolve():
-            raise ConfigError(f"{rest} cannot be replayed and recorded at once: give the new trace another name")
         replay = ReplayTransport(rest, paced=realtime)
         return replay, replay.profile
     profile = TargetProfile.load(name)

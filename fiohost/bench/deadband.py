@@ -251,6 +251,8 @@ def _way(forward: bool) -> str:
 class _RampUp:
     """Duty from ``begin`` upwards at a constant rate until the shaft has surely started."""
 
+    patience = 10.0  # it stands until then, which is what is measured
+
     def __init__(self, bench: Bench, forward: bool, begin_pct: float, rate_pct_per_s: float, max_pct: float) -> None:
         self._sign = 1.0 if forward else -1.0
         self._begin = begin_pct

@@ -7,9 +7,7 @@ so that a table diagnosed directly and its imported log are the same data.
 from __future__ import annotations
 
 import math
-import os
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiohost import __version__
+from fiohost.bench.integrity import ended
 from fiohost.bench.log import Log
 from fiohost.bench.table import read_table
-from fiohost.errors import DataError, LogError
+from fiohost.errors import DataError
+from fiohost.files import write_output
 from fiohost.settings import Table, find_config, read_toml
 
 SCHEMA = "fiohost.map/1"
@@ -141,22 +141,9 @@ def log_from_table(table: Path, table_map: TableMap) -> Log:
 
 
 def import_table(table: Path, table_map: TableMap, output: Path) -> Log:
-    """Write the log of a foreign table to *output*, whole or not at all, and return it. Raises LogError, DataError."""
-    if output.exists() and output.resolve() == table.resolve():
-        raise LogError(f"{output} is the table itself: name another file for the log")
+    """Write the log of a foreign table to *output*, whole or not at all, and return it. Raises FiohostError."""
     text, _, dropped = _convert(table, table_map)
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{output.name[:40]}.", dir=output.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
-            os.chmod(temporary, 0o666 & ~_umask())
-            os.replace(temporary, output)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as exc:
-        raise LogError(f"cannot write {output}: {exc.strerror}; the table is untouched") from exc
+    write_output(output, ended(text))
     log = Log.read(output)
     return log if not dropped else Log.parse(text, path=output, sha256=log.sha256, dropped=dropped)
 
@@ -286,9 +273,3 @@ def _nonzero(table: Table, key: str, value: float) -> float:
 
 def _one_line(value: str) -> str:
     return re.sub(r"\s+", " ", value)[:500]
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

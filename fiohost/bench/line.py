@@ -7,6 +7,7 @@ in a row are an error. A lock-step board is paced by the clock, any other keeps 
 from __future__ import annotations
 
 from fiohost.bench.clock import Clock
+from fiohost.bench.guardian import Guardian
 from fiohost.bench.statistics import TickStatistics
 from fiohost.errors import ReportError, TelemetryTimeoutError, TransportError
 from fiohost.transport.base import Transport
@@ -17,6 +18,7 @@ from fiohost.wire.messages import Command, Telemetry
 TELEMETRY_TIMEOUT_S = 0.05
 SILENCE = f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
 GAP_S = 0.1  # after so long without a reading, queues may have lost reports: the clock counts too
+LATE_TICKS = 1.5
 SLEPT_S = 1.0  # the host slept: it does not hurry through the ticks of that time
 
 
@@ -30,10 +32,12 @@ class Line:
         self.profile = profile
         self.clock = clock
         self.link = Link(profile.codec, stream=transport.stream)
+        self.guardian: Guardian | None = None  # hears of each turn
         self.steps = 0
         self.read_s = self._due_s = clock.now_s()
         self._steps_read = 0  # the steps at the last reading
         self._lost_in_a_row = 0
+        self.host_was_late = False  # in the last tick: not the board
         self.count_anew()
 
     def send(self, command: Command) -> None:
@@ -59,6 +63,7 @@ class Line:
         late_s = self._wait() if lock_step else 0.0
         before_s = self.clock.now_s()
         statistics = self.statistics
+        unread, turned_s = statistics.passed_over, before_s - self.read_s
         try:
             reading = self._newest(before_s)
         except TelemetryTimeoutError as exc:
@@ -71,6 +76,8 @@ class Line:
             problem = exc
         else:
             statistics.count(late_s if lock_step else self.read_s - before_s - self.profile.sample_time_s)
+            if not lock_step:
+                self._judge(turned_s, self.read_s - before_s, statistics.passed_over - unread)
             self._lost_in_a_row = 0
             return reading
         statistics.count(late_s if lock_step else self.clock.now_s() - before_s - self.profile.sample_time_s)
@@ -81,6 +88,16 @@ class Line:
                 raise problem
             raise TelemetryTimeoutError(SILENCE) from problem
         return None
+
+    def _judge(self, turned_s: float, waited_s: float, unread: int) -> None:
+        """Whether this computer was late: it came back late, or woke late to more reports than one.
+
+        A board that sends more often is met with several reports too, but in time.
+        """
+        limit_s = LATE_TICKS * self.profile.sample_time_s
+        self.host_was_late = turned_s > limit_s or (waited_s > limit_s and unread > 0)
+        if self.host_was_late:
+            self.statistics.host_late += max(1, unread)
 
     def newest(self) -> Telemetry:
         """The newest reading, waited for as long as TELEMETRY_TIMEOUT_S, of whatever tick.
@@ -99,6 +116,8 @@ class Line:
 
     def _newest(self, now_s: float) -> Telemetry:
         transport, link = self.transport, self.link
+        if self.guardian is not None:
+            self.guardian.beat()
         deadline_s, left_s = now_s + TELEMETRY_TIMEOUT_S, TELEMETRY_TIMEOUT_S
         unseen, unread = transport.passed_over, link.passed_over
         self.steps += 1  # holds where nothing comes that tells more

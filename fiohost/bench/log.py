@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fiohost import files
 from fiohost.bench.head import MAX_LINE_CHARS, OUTPUT_UNITS, check_names, needed_columns, read_head
+from fiohost.bench.integrity import ALTERED, judge
 from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
 from fiohost.bench.writer import SCHEMA, LogWriter
@@ -57,13 +59,7 @@ class Log:
     def read(cls, path: str | Path) -> Log:
         """Read a log file. Raises LogError where it cannot be read, is no log, or holds nothing whole."""
         path = Path(path)
-        try:
-            with path.open("rb") as handle:
-                data = handle.read(MAX_LOG_BYTES + 1)
-        except OSError as exc:
-            raise LogError(f"cannot read the log {path}: {exc.strerror}") from exc
-        if len(data) > MAX_LOG_BYTES:
-            raise LogError(f"{path} is larger than {MAX_LOG_BYTES // 1_000_000} MB: this is not a log of one run")
+        data = files.read_input(path, MAX_LOG_BYTES, "the log", LogError)
         notes: list[str] = []
         whole = data.rstrip(b"\0")  # a crashed machine may leave a tail of zeros
         if len(whole) < len(data):
@@ -75,6 +71,9 @@ class Log:
             if not cut:
                 raise LogError(f"{path} is not a log: byte {exc.start} is not UTF-8 text") from exc
             text = whole[: exc.start].decode("utf-8-sig")
+        judged = judge(data)
+        if judged.state == ALTERED:
+            notes.append(f"nothing yet, but the file was altered since it was written: {'; '.join(judged.notes)}")
         return cls.parse(text, path=path, sha256=hashlib.sha256(data).hexdigest(), dropped=tuple(notes))
 
     @classmethod
@@ -145,6 +144,14 @@ class Log:
             values.setflags(write=False)
         log = cls(metadata, columns, path, sha256, tuple(notes))
         return cls(metadata, columns, path, sha256, (*notes, *log._doubts()))
+
+    def first(self, rows: int) -> Log:
+        """The log of the first *rows* rows, which says so; the log itself where it has no more."""
+        if len(self) <= rows:
+            return self
+        note = f"all after the first {rows} of {len(self)} rows ({self.time_s[rows - 1]:g} s), which are enough"
+        columns = {name: values[:rows] for name, values in self.columns.items()}
+        return Log(self.metadata, columns, self.path, self.sha256, (*self.dropped, note))
 
     # ---- what it says -----------------------------------------------------------------------------------------
 

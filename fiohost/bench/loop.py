@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 import secrets
 from collections.abc import Mapping
+from contextlib import ExitStack
 from datetime import datetime
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -18,6 +18,7 @@ from fiohost import __version__
 from fiohost.bench import cable
 from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.experiment import Experiment
+from fiohost.bench.guardian import Guardian
 from fiohost.bench.line import Line
 from fiohost.bench.log import Log, LogWriter
 from fiohost.bench.program import Hold, Program
@@ -25,9 +26,11 @@ from fiohost.bench.rest import brake, braked_after, settle
 from fiohost.bench.statistics import TickStatistics
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.turns import Progress, Tick, turns
+from fiohost.bench.watcher import Watcher, quick_switches
 from fiohost.bench.writer import NoLog
-from fiohost.errors import ConfigError, LogError
-from fiohost.transport.base import Transport
+from fiohost.errors import ConfigError, HostError, LogError
+from fiohost.files import Output
+from fiohost.transport.base import Transport, Way
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
@@ -35,6 +38,7 @@ __all__ = ["COMMAND_DELAY_TICKS", "Bench", "Progress", "Tick"]
 
 logger = logging.getLogger("fiohost.bench")
 
+FEW_LATE = 5  # ticks: so few are no share
 COMMAND_DELAY_TICKS = 1  # the board latches the answer to telemetry k at step k+1
 
 
@@ -65,6 +69,13 @@ class Bench:
         transport.open()
         if not transport.lock_step:
             cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
+        self._guardian: Guardian | None = None
+        self._guarded: Way | None = None
+        try:
+            self._set_guardian()
+        except BaseException:
+            transport.close()
+            raise
         layout = f"{profile.name} (layout {profile.status})"
         logger.info("opened %s: %s, profile %s, run %s", transport.name, transport.identity, layout, self.run_id)
 
@@ -87,7 +98,7 @@ class Bench:
     def run(
         self,
         experiment: Experiment | str,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         *,
         extra_metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
@@ -111,7 +122,7 @@ class Bench:
         self,
         duty_pct: float,
         duration_s: float | None = None,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         *,
         standby: bool = False,
         progress: Progress | None = None,
@@ -129,45 +140,91 @@ class Bench:
     def play(
         self,
         program: Program,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,
     ) -> Log:
         """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
-        writer = LogWriter(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        writer = LogWriter(
+            log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart
+        )
         self._record(program, writer, progress, progress_every_s)
         return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
 
     def live(
         self,
         program: Program,
-        log_path: str | Path | None = None,
+        log_path: Output | None = None,
         metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,
     ) -> int:
         """As :meth:`play`, for sessions of any length: without *log_path* rows are counted, not kept. Gives rows."""
         kind = NoLog if log_path is None else LogWriter
-        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real)
+        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart)
         self._record(program, writer, progress, progress_every_s)
         return writer.rows
 
     def _record(self, program: Program, writer: LogWriter, progress: Progress | None, progress_every_s: float) -> None:
         line = self._line
         line.count_anew()
+        watcher = Watcher(progress) if progress is not None and self._is_apart else None
         try:
-            with StopSignals() as stop, stop.hang_ups(), braked_after(line, stop, self.reconnect_s):
+            with (
+                StopSignals() as stop,
+                stop.hang_ups(),
+                quick_switches(self._is_apart),
+                ExitStack() as until_braked,
+                braked_after(line, stop, self.reconnect_s),
+            ):
+                self._set_guardian()
                 at_rest = settle(line, stop)
                 every = max(1, round(progress_every_s / self.sample_time_s))
                 writer.begin(self._bench_time_s(), at_rest)
+                if self._guardian is not None:
+                    until_braked.enter_context(self._guardian.on_duty())
                 with stop.interruptible():
-                    turns(line, program, writer, stop, progress, every)
+                    turns(line, program, writer, stop, watcher or progress, every)
             stop.check()  # a signal during the last brake is an end by signal too
         except BaseException as exc:
             self._close(writer, exc)
             raise
         writer.close("complete", self.statistics.describe())
+        if watcher is not None:
+            watcher.close()
+        self._judge_host(writer)
+
+    def _judge_host(self, writer: LogWriter) -> None:
+        """Raise HostError where too many ticks were late or missing because of this computer."""
+        late, guards = self.statistics.host_late, self.profile.guards
+        ticks = self.statistics.ticks + self.statistics.passed_over
+        if not self.transport.can_reopen or late < FEW_LATE or 100.0 * late <= guards.late_pct * ticks:
+            return
+        error = HostError(
+            f"{late} of {ticks} ticks ({100.0 * late / ticks:.1f} %) were missed or answered late because this "
+            f"computer was busy, more than guards.late_pct = {guards.late_pct:g}: the run is complete, but not in real "
+            "time; end other programs, or try --realtime-priority"
+        )
+        if writer.path is not None:
+            error.add_note(f"the log {writer.path} is closed with its {writer.rows} rows")
+        raise error
+
+    @property
+    def _is_apart(self) -> bool:
+        """Whether what may wait is done apart from the loop: the board does not wait for its host."""
+        return not self.transport.lock_step
+
+    def _set_guardian(self) -> None:
+        """A guardian for the line as it is open now. Raises HostError."""
+        way = self.transport.way
+        if way == self._guarded:
+            return
+        if self._guardian is not None:
+            self._guardian.close()
+            self._guardian = None
+        self._guardian = self._line.guardian = Guardian.of(self.transport, self.profile)
+        self._guarded = way
 
     def _close(self, writer: LogWriter, exc: BaseException) -> None:
         """Close the log of a run that *exc* ended, and tell *exc* what it holds."""
@@ -187,11 +244,18 @@ class Bench:
             settle(self._line, stop)
 
     def close(self) -> None:
-        """Brake and give the line back; harmless when done twice."""
-        try:
-            brake(self._line)
-        finally:
-            self.transport.close()
+        """Brake and give the line back; harmless when done twice. A signal meanwhile is heard afterwards."""
+        with StopSignals() as stop:
+            braked = False
+            try:
+                brake(self._line)
+                braked = True
+            finally:
+                if self._guardian is not None:
+                    self._guardian.close(braked=braked)
+                    self._guardian = self._line.guardian = self._guarded = None
+                self.transport.close()
+        stop.check()
 
     def __enter__(self) -> Self:
         return self

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fiohost.errors import ConfigError
-from fiohost.settings import read_toml
+from fiohost.files import write_output
+from fiohost.settings import exists, read_toml
 
 SCHEMA = "fiohost.bench/1"
 METHODS = ("ramp", "steps")
@@ -37,7 +38,7 @@ class BenchProfile:
     def load(cls, path: str | Path) -> BenchProfile:
         """Read a profile. Raises ConfigError: unknown keys and values out of range are refused."""
         path = Path(path)
-        if not path.is_file():
+        if not exists(path):
             raise ConfigError(f"no bench profile {str(path)!r}; fiohost deadband --save {path.name} makes one")
         top = read_toml(path)
         top.schema(SCHEMA)
@@ -58,13 +59,10 @@ class BenchProfile:
         return found
 
     def save(self, path: str | Path) -> None:
-        """Write a profile that :meth:`load` reads. Raises ConfigError if it cannot be written."""
+        """Write a profile that :meth:`load` reads. Raises FiohostError if it cannot be written."""
         target = self.target.replace("\\", "/").replace('"', "'")
         lines = [f'schema = "{SCHEMA}"', f'target = "{target}"', "", "[deadband]", f'method = "{self.method}"']
         for name in ("u_plus_pct", "u_plus_spread_pct", "u_minus_pct", "u_minus_spread_pct"):
             lines.append(f"{name} = {getattr(self, name)!r}")
         lines += ["", "[compensation]", f"share = {self.share!r}"]
-        try:
-            Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as exc:
-            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+        write_output(path, "\n".join(lines) + "\n")

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from fiohost.bench.log import Log
 from fiohost.errors import ConfigError, FiohostError
+from fiohost.files import shown
+from fiohost.settings import exists
 
 MAX_SEED = 2**63 - 1
 SEALED = ("sim:sealed", "sim:sealed-faulty")
@@ -57,8 +59,8 @@ def find_seed(seed_or_log: str) -> int:
         if int(seed_or_log) > MAX_SEED:
             raise ConfigError(f"seed {seed_or_log[:30]} is larger than {MAX_SEED}")
         return int(seed_or_log)
-    if not Path(seed_or_log).exists():
-        raise ConfigError(f"{seed_or_log!r} is neither a seed (a whole number) nor a log file")
+    if not exists(Path(seed_or_log)):
+        raise ConfigError(f"{shown(seed_or_log)!r} is neither a seed (a whole number) nor a log file")
     log = Log.read(seed_or_log)
     if not is_sealed(log.metadata.get("target", "")):
         raise ConfigError(f"{seed_or_log} is a log of {log.metadata.get('target', 'an unnamed target')!r}: not sealed")

@@ -16,6 +16,7 @@ class TickStatistics:
         self.silent = 0  # ticks without telemetry
         self.refused = 0  # ticks whose report could not be one
         self.passed_over = 0  # reports older than the one read
+        self.host_late = 0  # ticks missed or answered late because this computer was
         self.slowed = 0  # commands held back by the slew limit
         self.link = LinkCounts()
         self._sum_s = 0.0
@@ -49,6 +50,7 @@ class TickStatistics:
             "without telemetry": self.silent,
             "with a report that was refused": self.refused,
             "surplus reports": self.passed_over,
+            "missed or late because of this computer": self.host_late,
             "commands held back by the slew limit": self.slowed,
         }
         told = [f"{count} {what}" for what, count in faults.items() if count]
@@ -62,6 +64,7 @@ class TickStatistics:
             "without_telemetry": self.silent,
             "refused_reports": self.refused,
             "surplus_reports": self.passed_over,
+            "host_late": self.host_late,
             "slowed_commands": self.slowed,
             **self.link.as_dict(),
             "mean_lateness_ms": round(1e3 * self.mean_s, 4),

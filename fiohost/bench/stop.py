@@ -1,4 +1,7 @@
-"""Ctrl-C, SIGTERM and SIGHUP become a request that the tick loop reads between two ticks.
+"""Signals that would end or stop this process become a request that the tick loop reads between two ticks.
+
+Ctrl-C, SIGTERM, SIGHUP, Ctrl-\\ and Ctrl-Z: a process that is stopped would leave the motor as it is, so Ctrl-Z is an
+end too.
 
 So no row of the log is torn and no brake is interrupted. A second signal while the loop does not answer (a controller
 that hangs) is raised at once; the way out still brakes first.
@@ -9,13 +12,20 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
+from fiohost.bench.terminal import not_held_up
 from fiohost.errors import FiohostError
 
-_NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (the terminal went away)"}
+_NAMES = {
+    "SIGINT": "Ctrl-C",
+    "SIGTERM": "SIGTERM",
+    "SIGHUP": "SIGHUP (the terminal went away)",
+    "SIGQUIT": "Ctrl-\\ (SIGQUIT)",
+    "SIGTSTP": "Ctrl-Z (SIGTSTP): a motor cannot wait for fg, so the run ended",
+}
 _HANG_UP = getattr(signal, "SIGHUP", -1)
 _SIGNALS = {getattr(signal, name): said for name, said in _NAMES.items() if hasattr(signal, name)}
 
@@ -30,7 +40,8 @@ class Stopped(KeyboardInterrupt):
 
 
 class StopSignals:
-    """While in its context, signals set ``requested`` (the signal's number, 0 before any).
+    """While in its context, signals set ``requested`` (the signal's number, 0 before any), and no terminal holds output
+    back.
 
     Outside the main thread, where Python allows no handlers, it changes nothing. A signal that was ignored before
     (nohup, a background job) stays ignored.
@@ -40,17 +51,20 @@ class StopSignals:
         self.requested = 0
         self._interruptible = False
         self._before: dict[int, Any] = {}
+        self._terminal = ExitStack()
 
     def __enter__(self) -> StopSignals:
         if threading.current_thread() is threading.main_thread():
             for signum in _SIGNALS:
                 if signal.getsignal(signum) is not signal.SIG_IGN:
                     self._before[signum] = signal.signal(signum, self._on_signal)
+            self._terminal.enter_context(not_held_up())
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._terminal.close()
         for signum, handler in self._before.items():
             signal.signal(signum, handler)
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fiohost import files
 from fiohost.errors import LogError
 from fiohost.settings import nearest
 
@@ -105,18 +106,7 @@ def read_cells(path: Path, most_rows: int) -> tuple[list[dict[str, str]], str]:
 
 
 def _read_text(path: Path) -> tuple[str, str]:
-    try:
-        if path.is_dir():
-            raise LogError(f"{path} is a folder, not a table: name the file in it")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise LogError(f"{path} has {size} bytes, more than {MAX_BYTES}: cut it into shorter records")
-        with path.open("rb") as handle:
-            data = handle.read(MAX_BYTES + 1)  # a pipe or a growing file has no honest size
-    except OSError as exc:
-        raise LogError(f"cannot read {path}: {exc.strerror}") from exc
-    if len(data) > MAX_BYTES:
-        raise LogError(f"{path} has more than {MAX_BYTES} bytes: cut it into shorter records")
+    data = files.read_input(path, MAX_BYTES, "the table", LogError)
     if b"\0" in data[:4096] or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise LogError(f"{path} is not a text table in UTF-8: export it as CSV (UTF-8) first")
     return data.decode("utf-8-sig", errors="replace"), hashlib.sha256(data).hexdigest()

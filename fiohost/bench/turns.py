@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from fiohost.bench.guard import MotorGuard
+from fiohost.bench.host import HostWatch
 from fiohost.bench.limits import Limiter
 from fiohost.bench.line import Line
 from fiohost.bench.program import Program
@@ -41,32 +43,38 @@ def turns(
     """
     profile, clock = line.profile, line.clock
     step, send, encode, row, tick = program.step, line.transport.send, line.link.encode, writer.row, line.tick
+    watch = HostWatch(line)
     unwrap = Unwrapper(profile.counts_per_rev).update
     deg, sample_time_s = 360.0 / profile.counts_per_rev, profile.sample_time_s
+    guard = MotorGuard(profile.guards, sample_time_s, profile.counts_per_rev, getattr(program, "patience", 1.0)).check
     limiter, carried = Limiter(profile.limits, sample_time_s), line.link.codec.carried
     real, begin, shown = clock.real, 0.0, -every
     first = line.steps + 1
-    while True:
-        if stop.requested:
-            stop.check()
-        reading = tick()
-        k = max(0, line.steps - first)
-        if real and not begin:
-            begin = clock.now_s()
-        if reading is None:
-            continue
-        direction, pos, _, _ = reading
-        angle = unwrap(pos) * deg
-        answer = step(k, angle)
-        if answer is None:
-            return
-        command, ref = answer
-        time_s = k * sample_time_s
-        command = carried(limiter.allow(command, angle, time_s))
-        send(encode(command))
-        host = clock.now_s() - begin if real else None
-        line.statistics.slowed = limiter.slowed
-        row(time_s, command.duty_pct, command.c3, command.c4, pos, direction, ref, angle, host)
-        if progress is not None and k // every != shown:
-            shown = k // every
-            progress(Tick(time_s, command, pos, direction, angle, ref))
+    with watch.alarmed():
+        while True:
+            if stop.requested:
+                stop.check()
+            reading = tick()
+            k = max(0, line.steps - first)
+            if real and not begin:
+                begin = clock.now_s()
+            if reading is None:
+                watch.turn()
+                continue
+            direction, pos, _, _ = reading
+            angle = unwrap(pos) * deg
+            answer = step(k, angle)
+            watch.turn()  # as near as can be before what is sent
+            if answer is None:
+                return
+            command, ref = answer
+            time_s = k * sample_time_s
+            command = carried(limiter.allow(command, angle, time_s))
+            guard(k, command, angle)
+            send(encode(command))
+            host = clock.now_s() - begin if real else None
+            line.statistics.slowed = limiter.slowed
+            row(time_s, command.duty_pct, command.c3, command.c4, pos, direction, ref, angle, host)
+            if progress is not None and k // every != shown:
+                shown = k // every
+                progress(Tick(time_s, command, pos, direction, angle, ref))

@@ -10,13 +10,17 @@ import errno
 import io
 import os
 import re
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from fiohost.errors import LogError
+from fiohost import files
+from fiohost.background import Background
+from fiohost.bench.integrity import end_line
+from fiohost.errors import FiohostError, LogError
 
 SCHEMA = "fiohost.log/1"
 COLUMNS = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "ref_deg", "angle_deg")
@@ -24,42 +28,47 @@ _ENDING_BYTES = 240
 _STATISTICS_BYTES = 480  # of a bad line there is much to say
 _CLOCK_BYTES = 40
 _BEGINS_BYTES = 20
+MAX_WAITING = 400  # rows that a disk may be behind: 2 s at 5 ms
+CLOSE_LIMIT_S = 5.0
 _UNFINISHED = "unfinished (the host did not close this log)"
 
 
 class LogWriter:
     """Writes one log. A context manager; ``row`` for each tick, ``close(ending)`` or leaving the context ends it.
 
-    ``path=None`` keeps the log in memory (:meth:`text`). Raises LogError where the file cannot be written.
+    ``path=None`` keeps the log in memory (:meth:`text`). *behind*: rows are written by a thread of their own, one by
+    one and at once, so that a disk that does not answer does not hold up who writes them. Raises LogError where the
+    file cannot be written.
     """
 
-    def __init__(self, path: str | Path | None, metadata: Mapping[str, str], *, host_time: bool = False) -> None:
-        self.path = Path(path) if path is not None else None
+    def __init__(
+        self, path: files.Output | None, metadata: Mapping[str, str], *, host_time: bool = False, behind: bool = False
+    ) -> None:
+        self.path: Path | None = None
         self.rows = 0
         self._whole = 0  # bytes of the head and of whole rows
         self._bench_time_s: float | None = None
         self._begins = ""
-        if self.path is not None and self.path.exists() and not self.path.is_file():
-            kind = "a directory" if self.path.is_dir() else "not an ordinary file"
-            raise LogError(f"cannot write the log {path}: it is {kind}; nothing was driven")
         self._host_time = host_time
-        self._file: BinaryIO
-        try:
-            # unbuffered: a row is one write call, and a failure is seen on the row that failed
-            self._file = io.BytesIO() if self.path is None else self.path.open("wb", buffering=0)
-        except OSError as exc:
-            raise LogError(f"cannot write the log {path}: {exc.strerror}; nothing was driven") from exc
+        self._file: BinaryIO = io.BytesIO()
+        if path is not None:
+            try:
+                self._file, self.path = files.open_log(path, "the log")
+            except FiohostError as exc:
+                raise LogError(f"{exc}; nothing was driven") from exc
         self._closed = False
         head = [f"# schema: {SCHEMA}\n"]
         head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
-        self._ending_at = len("".join(head).encode())
-        head.append(self._late_lines(_UNFINISHED, "unknown"))
-        head.append(",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n")
+        self._head = "".join(head)
+        self._ending_at = len(self._head.encode())
+        self._names = ",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n"
+        self._rows_crc = 0
         try:
-            self._write("".join(head).encode())
+            self._write((self._head + self._late_lines(_UNFINISHED, "unknown") + self._names).encode())
         except LogError:
             self._file.close()
             raise
+        self._behind = Background(self._write_row, MAX_WAITING, "log") if behind and self.path is not None else None
 
     def begin(self, bench_time_s: float, at_rest: bool) -> None:
         """Say in the head that the run begins: time since the bench was opened, and whether the shaft stands still.
@@ -90,7 +99,22 @@ class LogWriter:
         line = f"{time_s:.9g},{duty_pct:.9g},{c3},{c4},{pos},{direction},{ref},{angle}"
         if self._host_time:
             line += f",{host_time_s:.6f}" if host_time_s is not None else ","
-        self._write(line.encode() + b"\n")
+        data = line.encode() + b"\n"
+        behind = self._behind
+        if behind is None:
+            self._write_row(data)
+            return
+        if behind.problem is not None:
+            raise behind.problem
+        if not behind.put(data):
+            raise LogError(
+                f"cannot write the log {self.path}: the disk has taken nothing for the last {behind.waiting} rows; "
+                f"{self.rows} rows are in it"
+            )
+
+    def _write_row(self, data: bytes) -> None:
+        self._write(data)
+        self._rows_crc = zlib.crc32(data, self._rows_crc)
         self.rows += 1
 
     def close(self, ending: str = "complete", statistics: str = "") -> None:
@@ -98,8 +122,29 @@ class LogWriter:
         if self._closed:
             return
         self._closed = True
+        behind = self._behind
+        if behind is None:
+            self._finish(ending, statistics)
+            return
+        finishing: Background[tuple[str, str]] = Background(lambda said: self._finish(*said), 1, "log-end")
+        if behind.close(CLOSE_LIMIT_S):
+            finishing.put((ending, statistics))
+        if not finishing.close(CLOSE_LIMIT_S) or behind.waiting:
+            raise LogError(
+                f"the disk under the log {self.path} does not answer: {self.rows} rows were handed to it, "
+                f"{behind.waiting} were not, and its head does not say how the run ended"
+            )
+        for problem in (finishing.problem, behind.problem):
+            if problem is not None:
+                raise problem
+
+    def _finish(self, ending: str, statistics: str) -> None:
+        statistics = statistics or f"{self.rows} ticks"
         try:
-            self._say(ending, statistics or f"{self.rows} ticks")
+            self._say(ending, statistics)
+            head = self._head + self._late_lines(ending, statistics) + self._names
+            with suppress(LogError):  # a full disk has room for what was there, not for more
+                self._write(end_line(self.rows, zlib.crc32(head.encode()), self._rows_crc).encode())
             if self.path is not None:
                 _sync(self._file)
                 self._file.close()
@@ -174,4 +219,5 @@ def _fixed(line: str, size: int) -> str:
 
 def _clean(text: str, most: int) -> str:
     """One line, without control characters, so that no value can forge a line of the file."""
-    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", str(text))[:most].strip()
+    plain = str(text).encode(errors="surrogateescape").decode(errors="replace")  # a name in an odd locale
+    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", plain)[:most].strip()

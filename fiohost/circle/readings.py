@@ -17,9 +17,10 @@ from fiohost.discover.tables.steady import CONSTANTS, Point, SteadyReadings, wit
 from fiohost.errors import ConfigError, DataError
 from fiohost.motor.model import Model
 from fiohost.settings import Table as Toml
-from fiohost.settings import nearest, read_toml
+from fiohost.settings import nearest, read_text, read_toml
 
 SCHEMA = "fiohost.readings/1"
+MOST = 1e9  # of any reading: beyond it squares and sums lose their sense
 COMMON = ("title", "source", "table", "row", "only", "figures")
 KINDS = {
     "response": ("step", "controller", "deadband", "encoder"),
@@ -57,8 +58,10 @@ class _Rows:
             number = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):
             number = math.nan
-        if not math.isfinite(number):
-            raise ConfigError(f"{self.where} row {index + 1}: {column} = {str(value)[:40]!r} is not a finite number")
+        if not abs(number) <= MOST:  # NaN and infinity too
+            raise ConfigError(
+                f"{self.where} row {index + 1}: {column} = {str(value)[:40]!r} is not a number within {MOST:g}"
+            )
         return number
 
 
@@ -109,7 +112,7 @@ def read_readings(path: Path) -> tuple[Table, dict[str, str]]:
     )
     return found, {
         "file": str(path),
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": hashlib.sha256(read_text(path).encode()).hexdigest(),
         "table_sha256": rows.sha256,
     }
 

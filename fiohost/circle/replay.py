@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from fiohost import __version__
 from fiohost.bench.log import Log
 from fiohost.discover.metrics import Errors, judge
 from fiohost.discover.units import LOG_UNIT, STARTS, metres
-from fiohost.errors import LogError
 from fiohost.estimation.record import record_from_log
+from fiohost.files import write_output
 from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
 
@@ -61,9 +62,6 @@ def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:
     }
     lines = [f"# {key}: {value}" for key, value in head.items()]
     lines.append(f"time_s,{result.output_name}")
-    try:
-        with path.open("w", encoding="utf-8", newline="\n") as handle:
-            handle.write("\n".join(lines) + "\n")
-            np.savetxt(handle, np.column_stack((result.time_s, result.output)), fmt=("%.9g", "%.12g"), delimiter=",")
-    except OSError as exc:
-        raise LogError(f"cannot write {path}: {exc.strerror}") from exc
+    rows = io.StringIO()
+    np.savetxt(rows, np.column_stack((result.time_s, result.output)), fmt=("%.9g", "%.12g"), delimiter=",")
+    write_output(path, "\n".join(lines) + "\n" + rows.getvalue())

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from fiohost.cli.options import parse_seed, wire_options
-from fiohost.cli.output import json_option, make_folder, output_for
+from fiohost.cli.options import PATH, parse_seed, wire_options
+from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
+from fiohost.files import report_folder
 
 
 @click.command("close-loop")
@@ -18,9 +19,9 @@ from fiohost.cli.progress import progress
 @click.option("--model", default="linear+coulomb_friction", show_default=True, metavar="M", help="Declared model.")
 @click.option(
     "--report",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="DIR",
-    help="Folder of logs, page and plots. [default: close-loop-N]",
+    help="Folder of logs, page and plots. [default: close-loop, or close-loop-N]",
 )
 @click.option("--no-follow-up", is_flag=True, help="Never run one more experiment to tell rivals apart.")
 @json_option
@@ -52,7 +53,7 @@ def close_loop(
 
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed)
-    folder = _folder(report)
+    folder = report_folder(report or Path("close-loop"), chosen=report is not None)
     with connect(target, seed=drawn) as bench, progress() as doing:
         circle = run_circle(bench, folder, declared, follow_up=not no_follow_up, say=doing)
     diagnosis = to_json(circle.diagnosis)
@@ -70,17 +71,6 @@ def close_loop(
         follow_up=follow_up_sentence(result["follow_up"]) if circle.follow_up else "",
     )  # fmt: skip
     say(f"page: {page}")
-
-
-def _folder(report: Path | None) -> Path:
-    """The folder asked for, or the first free ``close-loop-N`` here. Raises FiohostError if it cannot be made."""
-    folder = report
-    number = 1
-    while folder is None or (report is None and folder.exists()):
-        folder = Path(f"close-loop-{number}")
-        number += 1
-    make_folder(folder)
-    return folder
 
 
 def _open_seal(log: Path, target: str) -> dict[str, object]:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fiohost.cli.output import check_writable, json_option, output_for
+from fiohost.cli.options import PATH
+from fiohost.cli.output import json_option, output_for
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.cli.output import Output
@@ -17,9 +19,9 @@ if TYPE_CHECKING:
 
 
 @click.command("import")
-@click.argument("table", type=click.Path(path_type=Path))
+@click.argument("table", type=PATH)
 @click.option("--map", "map_name", required=True, metavar="MAP", help="Map file, or the name of a shipped one.")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="LOG", help="Log to write.")
+@click.option("-o", "--output", required=True, type=PATH, metavar="LOG", help="Log to write.")
 @json_option
 def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> None:
     """Make a log of any table of numbers (CSV, TSV) with a MAP that names its columns and units.
@@ -31,7 +33,7 @@ def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> No
     from fiohost.bench.imports import TableMap, import_table
 
     say = output_for(json_to)
-    check_writable(output)
+    claim(output)
     log = import_table(table, TableMap.load(map_name), output)
     low, high = float(log.duty_pct.min()), float(log.duty_pct.max())
     seconds = float(log.time_s[-1] - log.time_s[0])

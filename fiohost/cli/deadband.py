@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fiohost.cli.options import parse_number, parse_seed, parse_whole, target_options
-from fiohost.cli.output import check_writable, json_option, output_for
+from fiohost.cli.output import json_option, output_for
 from fiohost.errors import ConfigError
+from fiohost.files import FreeName, claim
 from fiohost.settings import nearest
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ METHODS = ("ramp", "steps")
     help="In each sweep, starts at N angles of the turn.  [default: one, further on each time]",
 )  # fmt: skip
 @click.option("--max", "most", default="100", show_default=True, metavar="PCT", help="Largest duty to try.")
-@click.option("--plot", "plot_to", default="deadband.png", show_default=True, metavar="F", help="Picture to save.")
+@click.option("--plot", "plot_to", metavar="F", help="Picture to save.  [default: deadband.png, or deadband-N.png]")
 @click.option("--save", "save_to", metavar="FILE", help="Write a bench profile for design, run and the labs.")
 @click.option("--realtime", is_flag=True, help="Keep real time on a simulated target too.")
 @json_option
@@ -39,7 +41,7 @@ def deadband(
     repeats: str,
     angles: str,
     most: str,
-    plot_to: str,
+    plot_to: str | None,
     save_to: str | None,
     realtime: bool,
     json_to: str | None,
@@ -61,9 +63,9 @@ def deadband(
         raise ConfigError(f"--method {method[:40]!r} is unknown; {nearest(method, METHODS)}")
     max_pct = parse_number("--max", most, 1.0, 100.0, "percent of full scale")
     out = output_for(json_to)
-    check_writable(plot_to)
-    if save_to is not None:
-        check_writable(save_to)
+    for output in (plot_to, save_to):
+        if output is not None:
+            claim(output)
 
     from fiohost.bench.connect import connect
     from fiohost.bench.deadband import measure_deadband
@@ -91,10 +93,11 @@ def deadband(
     for note in found.notes():
         out(f"note: {note}")
 
-    from fiohost.report.deadband import save_deadband_plot
+    from fiohost.report.deadband import plot_deadband
+    from fiohost.report.pictures import save_figure
 
-    save_deadband_plot(found, name, plot_to)
-    out(f"plot: {plot_to}")
+    plot = save_figure(plot_deadband(found, name), plot_to or FreeName(Path("deadband.png")))
+    out(f"plot: {plot}")
     if save_to is not None:
         from fiohost.bench.profile import BenchProfile
 
@@ -103,7 +106,7 @@ def deadband(
             found.spread_pct(True), found.spread_pct(False),
         ).save(save_to)  # fmt: skip
         out(f"bench profile: {save_to}")
-    out.json({**found.as_dict(), "target": name, "plot": plot_to, "profile": save_to})
+    out.json({**found.as_dict(), "target": name, "plot": plot, "profile": save_to})
 
 
 def _pct(value: float | None) -> str:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_number, profile_option
-from fiohost.cli.output import Output, check_writable, json_option, output_for
+from fiohost.cli.options import PATH, parse_number, profile_option
+from fiohost.cli.output import Output, json_option, output_for
 from fiohost.errors import ConfigError
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.control.design import Design
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     "--derivative-on", default="angle", show_default=True, metavar="angle|error", help="What is differentiated."
 )
 @click.option("--sample-time", default="0.005", show_default=True, metavar="S", help="Tick of the loop.")
-@click.option("--save", "save_to", type=click.Path(path_type=Path), metavar="FILE", help="Controller file for run.")
-@click.option("--plot", "plot_to", type=click.Path(path_type=Path), metavar="F", help="Picture of the responses.")
+@click.option("--save", "save_to", type=PATH, metavar="FILE", help="Controller file for run.")
+@click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the responses.")
 @json_option
 def design(
     model: str, controller: str, overshoot: str, settling: str, sse: str, band: str, steps: str, limit: str,
@@ -52,7 +53,7 @@ def design(
     out = output_for(json_to)
     for path in (save_to, plot_to):
         if path is not None:
-            check_writable(path)
+            claim(path)
     numbers = {
         "overshoot_pct": parse_number("--overshoot", overshoot, 0.001, 500.0, "percent"),
         "settling_s": parse_number("--settling", settling, 0.001, 60.0, "s"),
@@ -90,7 +91,7 @@ def design(
         out(f"controller written to {save_to}; fiohost run square_170_190 --controller {save_to}")
     if plot_to is not None:
         from fiohost.report.design import plot_design
-        from fiohost.report.identification import save_figure
+        from fiohost.report.pictures import save_figure
 
         save_figure(plot_design(found, f"{controller.upper()} on {found.model.expression}"), plot_to)
         out(f"plot: {plot_to}")

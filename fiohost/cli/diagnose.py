@@ -8,28 +8,29 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_seed
-from fiohost.cli.output import check_not_input, check_writable, json_option, make_folder, output_for
+from fiohost.cli.options import PATH, parse_seed
+from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
+from fiohost.files import claim, report_folder
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
 
 
 @click.command()
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="[LOG]...")
+@click.argument("logs", nargs=-1, type=PATH, metavar="[LOG]...")
 @click.option(
     "--readings",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="A readings file, a table of figures instead of logs; repeat it for more.",
 )
 @click.option(
     "--holdout",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="LOG",
     help="A log that only reports; repeat it for more.",
 )
@@ -41,10 +42,8 @@ if TYPE_CHECKING:
     help="Declared model: linear+EFFECT+... or a model file.",
 )
 @json_option
-@click.option(
-    "--save-model", type=click.Path(path_type=Path), metavar="FILE", help="Write the final model, for simulate."
-)
-@click.option("--report", type=click.Path(path_type=Path), metavar="DIR", help="Write a page and plots into DIR.")
+@click.option("--save-model", type=PATH, metavar="FILE", help="Write the final model, for simulate.")
+@click.option("--report", type=PATH, metavar="DIR", help="Write a page and plots into DIR.")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
 @click.option(
     "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
@@ -85,11 +84,9 @@ def diagnose(
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed) or 0
     if save_model is not None:
-        check_writable(save_model)
-    for output in (json_to, save_model):
-        check_not_input(output, (*logs, *holdout))
+        claim(save_model)
     if report is not None:
-        make_folder(report)
+        report_folder(report)
 
     def announce(train: Sequence[Log], held: Sequence[Log]) -> None:
         for role, group in (("training", train), ("held out", held)):
@@ -139,11 +136,9 @@ def _diagnose_readings(
     say = output_for(json_to)
     drawn = parse_seed(seed) or 0
     if save_model is not None:
-        check_writable(save_model)
-    for output in (json_to, save_model):
-        check_not_input(output, readings)
+        claim(save_model)
     if report is not None:
-        make_folder(report)
+        report_folder(report)
 
     def announce(tables: Sequence[Table]) -> None:
         for table in tables:
@@ -166,13 +161,11 @@ def _diagnose_readings(
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=PATH)
 @click.option(
     "--model", required=True, metavar="FILE", help="A model file (from diagnose --save-model) or an expression."
 )
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="OUT.csv", help="Table to write."
-)
+@click.option("-o", "--output", required=True, type=PATH, metavar="OUT.csv", help="Table to write.")
 @click.option("--map", "table_map", metavar="MAP", help="LOG is a foreign table; MAP says how to read it.")
 @json_option
 def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to: str | None) -> None:
@@ -187,8 +180,7 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
     from fiohost.motor.model import Model
 
     say = output_for(json_to)
-    check_writable(output)
-    check_not_input(output, [log])
+    claim(output)
     chosen = Model.parse(model)
     (source,) = read_logs([log], table_map)
     found = replay(source, chosen)
@@ -198,9 +190,12 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
         f"{output}: {len(found.output)} rows of {found.output_name}; against the log {errors.free_run_rms:.4g} "
         f"{found.unit} rms over the whole run, {errors.window_rms:.4g} {found.unit} in 1 s windows"
     )
+    for note in source.dropped:
+        say(f"note: {source.path}: left out or doubtful: {note}")
     say.json(
         {
             "schema": "fiohost.simulation/1",
+            "dropped": source.dropped,
             "log": str(log),
             "model": chosen.expression,
             "output": str(output),

@@ -82,7 +82,7 @@ def manual(
                         duty_pct, duration_s, log_to, standby=standby, progress=view, progress_every_s=view.every_s
                     )
                     view.last_row(log)
-            out("brake sent (C3 C4 = 1 1)" + (f"; log: {log_to}" if log_to else ""))
+            out("braked (C3 C4 = 1 1)" + (f"; log: {log_to}" if log_to else ""))
         except Stopped as exc:
             ended = str(exc)
             raise

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import parse_number
-from fiohost.cli.output import Output, check_not_input, check_writable, json_option, output_for
+from fiohost.cli.options import PATH, parse_number
+from fiohost.cli.output import Output, json_option, output_for
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.estimation.logs import Identification
 
+MOST_ROWS = 200_000  # of a log, some 17 minutes at 5 ms: two parameters need no more, and more takes long
 NAMES = {
     "gain_deg_s_per_pct": "K",
     "tau_s": "tau",
@@ -24,7 +26,7 @@ NAMES = {
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @click.option("--method", default="pem", show_default=True, metavar="step|pem", help="Step figures, or a fit.")
 @click.option(
     "--from", "fitted", metavar="reference|duty",
@@ -32,8 +34,8 @@ NAMES = {
 )  # fmt: skip
 @click.option("--kp", metavar="K", help="Gain of the P controller in percent per degree.  [default: as the logs say]")
 @click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
-@click.option("--save-model", type=click.Path(path_type=Path), metavar="FILE", help="Write the motor as a model file.")
-@click.option("--plot", "plot_to", type=click.Path(path_type=Path), metavar="F", help="Picture of the first log.")
+@click.option("--save-model", type=PATH, metavar="FILE", help="Write the motor as a model file.")
+@click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the first log.")
 @json_option
 def identify(
     logs: Sequence[Path],
@@ -60,27 +62,31 @@ def identify(
     out = output_for(json_to)
     for output in (save_model, plot_to):
         if output is not None:
-            check_writable(output)
-        check_not_input(output, logs)
+            claim(output)
     gain = None if kp is None else parse_number("--kp", kp, 1e-6, 1e6, "percent per degree")
 
     from fiohost.circle.evidence import read_logs
     from fiohost.estimation.logs import identify as run
 
-    found = run(read_logs(logs, table_map), method, fitted=fitted, kp_pct_per_deg=gain)
+    read = [log.first(MOST_ROWS) for log in read_logs(logs, table_map)]
+    found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
+    dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
+    for name, notes in dropped.items():
+        out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")
     if save_model is not None:
         found.model.write(save_model, f"identified by {found.method} from {', '.join(str(log) for log in logs)}")
         out(f"model written to {save_model}")
     if plot_to is not None:
-        from fiohost.report.identification import plot_identification, save_figure
+        from fiohost.report.identification import plot_identification
+        from fiohost.report.pictures import save_figure
 
         label = f"{found.method}: {motor_text(found)}"
         save_figure(
             plot_identification(f"Identification from {found.curves[0].name}", {label: found.curves[0]}), plot_to
         )
         out(f"plot: {plot_to}")
-    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model})
+    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model, "dropped": dropped})
 
 
 def motor_text(found: Identification) -> str:

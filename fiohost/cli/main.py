@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
+    "check": ("fiohost.cli.check:check", "Say whether a log is whole, cut off or altered."),
     "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "devices": ("fiohost.cli.hardware:devices", "List boards that are connected."),
@@ -44,6 +45,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
     "unseal": ("fiohost.cli.bench:unseal", "Show the truth about a sealed board."),
 }
+
+
+MOST_LINES = 10_000  # of what is logged, that a slow reader may be behind
+FLUSH_S = 1.0
 
 
 class Commands(LazyCommands):
@@ -61,8 +66,11 @@ class Commands(LazyCommands):
         return command
 
     def invoke(self, ctx: click.Context) -> Any:
+        from fiohost import files
+
         try:
-            return super().invoke(ctx)
+            with files.command():
+                return super().invoke(ctx)
         except FiohostError as exc:
             _say_error(exc)
             _leave(1)
@@ -98,8 +106,12 @@ def _say_notes(exc: BaseException) -> None:
 
 
 def _say(text: str) -> None:
+    from fiohost.files import escaped, shortened
+
+    for handler in logging.getLogger("fiohost").handlers:
+        handler.flush()  # what was said before comes before
     with suppress(OSError):  # the terminal may have gone
-        click.echo(text, err=True)
+        click.echo(shortened(escaped(text)), err=True)
 
 
 def _leave(code: int) -> NoReturn:
@@ -112,17 +124,55 @@ def _leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
+class _Hearsay(logging.Handler):
+    """Writes what fiohost logs to standard error in a thread of its own: a reader who has stopped reading must not hold
+    up a loop that drives.
+    """
+
+    def __init__(self) -> None:
+        from fiohost.background import Background
+
+        super().__init__()
+        stream = sys.stderr
+
+        def write(line: str) -> None:
+            with suppress(OSError, ValueError):  # the terminal may have gone
+                stream.write(line)
+                stream.flush()
+
+        self._behind = Background(write, MOST_LINES, "said")
+        self._lost = 0
+        self.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        lost, self._lost = self._lost, 0
+        line = self.format(record) + "\n"
+        if lost:
+            line = f"({lost} lines left out: nobody reads as fast)\n" + line
+        if not self._behind.put(line):
+            self._lost = lost + 1
+
+    def flush(self) -> None:
+        self._behind.flush(FLUSH_S)
+
+    def close(self) -> None:
+        self._behind.close()
+        super().close()
+
+
+def _hear(level: int) -> None:
+    logger = logging.getLogger("fiohost")
+    if not logger.handlers:
+        logger.addHandler(_Hearsay())
+        logger.propagate = False
+    logger.setLevel(min(level, logger.level or level))
+
+
 def _set_level(ctx: click.Context, parameter: click.Parameter, value: int | bool) -> None:
     if not value:
         return
     level = logging.DEBUG if parameter.name == "debug" else logging.INFO
-    logger = logging.getLogger("fiohost")
-    if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
-        logger.addHandler(handler)
-        logger.propagate = False
-    logger.setLevel(min(level, logger.level or level))
+    _hear(level)
 
 
 def _verbose_option() -> click.Option:
@@ -150,6 +200,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started us
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (for as long as the process lives)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # a locale that has no umlauts ends no command
+    _hear(logging.WARNING)
     cli.main(args=list(arguments) if arguments is not None else None, prog_name="fiohost")
 
 

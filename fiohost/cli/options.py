@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -14,6 +15,7 @@ import click
 from fiohost.errors import ConfigError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+PATH = click.Path(path_type=Path, readable=False)  # what cannot be read is refused by who reads it, with exit 1
 
 
 def target_options(command: Command) -> Command:
@@ -24,12 +26,22 @@ def target_options(command: Command) -> Command:
         "sim, sim:PLANT, sim:sealed, sim:sealed-faulty, hid, hid:SERIAL, serial:PORT, replay:FILE, "
         "emulated:BOARD[:PLANT], or a profile: its name or file, also with :REST."
     )
+    priority_help = "Run before all ordinary programs, where the system allows it."
+    command = click.option(
+        "--realtime-priority", is_flag=True, expose_value=False, callback=_priority, help=priority_help
+    )(command)
     command = click.option("--seed", metavar="N", help=seed_help)(command)
     return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
 
 
 def wire_options(command: Command) -> Command:
-    """Add ``--trace``, ``--limit`` and ``--reconnect``, which every bench of the command then has; no arguments."""
+    """Add ``--trace``, ``--limit``, ``--guard`` and ``--reconnect``, which every bench of the command then has; no
+    arguments.
+    """
+    guard_help = "Change a guard of the target, such as gap_s or stall_s; may be repeated."
+    command = click.option(
+        "--guard", multiple=True, metavar="KEY=NUMBER", expose_value=False, callback=_guard, help=guard_help
+    )(command)
     reconnect_help = "Wait S seconds for a board that went away in a run, to brake it as soon as it is back."
     command = click.option("--reconnect", metavar="S", expose_value=False, callback=_reconnect, help=reconnect_help)(
         command
@@ -47,6 +59,24 @@ def _trace(ctx: click.Context, parameter: click.Parameter, value: str | None) ->
         from fiohost.bench.connect import asking
 
         ctx.with_resource(asking(trace=value))
+
+
+def _guard(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:
+    if value and not ctx.resilient_parsing:
+        from fiohost.bench.connect import asking
+        from fiohost.transport.profile import Guards
+
+        parts = [text.partition("=") for text in value]
+        asked = {key.strip(): parse_number(f"--guard {key}", number, -1e9, 1e9) for key, _, number in parts}
+        Guards().changed(asked)  # refused here, before anything is opened
+        ctx.with_resource(asking(guards=asked))
+
+
+def _priority(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        from fiohost.bench.priority import realtime_priority
+
+        ctx.with_resource(realtime_priority())
 
 
 def _limit(ctx: click.Context, parameter: click.Parameter, value: Sequence[str]) -> None:

@@ -8,15 +8,13 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 import sys
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 import click
 
-from fiohost.errors import FiohostError
+from fiohost import files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,10 +23,18 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def json_option(command: Command) -> Command:
-    """Add ``--json FILE|-`` to a command, as its argument ``json_to``."""
+    """Add ``--json FILE|-`` to a command, as its argument ``json_to``, and ``--force`` for all that it writes."""
+    command = click.option(
+        "--force", is_flag=True, is_eager=True, expose_value=False, callback=_force, help="Overwrite what exists."
+    )(command)
     return click.option(
         "--json", "json_to", metavar="FILE|-", help="Write the result as JSON; with - to standard output."
     )(command)
+
+
+def _force(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.with_resource(files.overwriting())
 
 
 class Output:
@@ -37,7 +43,7 @@ class Output:
     def __init__(self, json_to: str | None = None) -> None:
         self.json_to = json_to
         if json_to is not None and json_to != "-":
-            check_writable(json_to)
+            files.claim(json_to)
 
     @property
     def stream(self) -> TextIO:
@@ -53,7 +59,7 @@ class Output:
         return self.stream.isatty()
 
     def __call__(self, text: str = "") -> None:
-        click.echo(text, file=self.stream)
+        click.echo(files.escaped(text, styled=True), file=self.stream)
 
     @property
     def console(self) -> Console:
@@ -76,46 +82,20 @@ def write_json(json_to: str | None, result: Any) -> None:
     """Write strict JSON (NaN and infinity become null) to a file, or to standard output for ``-``."""
     if json_to is None:
         return
-    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-    if json_to == "-":
+    to_stream = json_to == "-"  # whose encoding is anybody's
+    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=to_stream) + "\n"
+    if to_stream:
         click.echo(text, nl=False)
         return
-    try:
-        Path(json_to).write_text(text, encoding="utf-8")
-    except OSError as exc:
-        raise FiohostError(f"cannot write {json_to}: {exc.strerror}") from exc
-
-
-def check_writable(path: str | Path) -> None:
-    """Refuse early what could not be written later. Raises FiohostError."""
-    path = Path(path)
-    if path.is_dir():
-        raise FiohostError(f"cannot write {path}: it is a directory")
-    if not path.parent.is_dir():
-        raise FiohostError(f"cannot write {path}: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise FiohostError(f"cannot write {path}: permission denied")
-
-
-def check_not_input(output: str | Path | None, inputs: Iterable[Path]) -> None:
-    """Refuse to write over what is read. Raises FiohostError."""
-    for path in inputs if output is not None else ():
-        if Path(output or "").resolve() == path.resolve():
-            raise FiohostError(f"cannot write {output}: it is the log to be read; give another name")
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for pages and plots, before the work that fills it. Raises FiohostError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise FiohostError(f"cannot make the folder {folder}: {exc.strerror}") from exc
+    files.write_output(json_to, text)
 
 
 def plain(value: Any) -> Any:
     """The same value in JSON's own types: arrays become lists, paths text, NaN and infinity null."""
-    if value is None or isinstance(value, (str, bool, int)):
+    if value is None or isinstance(value, (bool, int)):
         return value
+    if isinstance(value, str):  # a name in an odd locale is bytes in disguise
+        return value.encode(errors="surrogateescape").decode(errors="replace")
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -124,4 +104,4 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):  # numpy, without importing it
         return plain(value.tolist())
-    return str(value)
+    return plain(str(value))

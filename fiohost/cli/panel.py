@@ -67,7 +67,7 @@ def panel(
         try:
             rows = run_panel(bench, WEB if web else WINDOW, options, log_to, say)
             out(
-                f"brake sent (C3 C4 = 1 1); {rows} ticks; {bench.statistics.describe()}"
+                f"braked (C3 C4 = 1 1); {rows} ticks; {bench.statistics.describe()}"
                 + (f"; log: {log_to}" if log_to else "")
             )
         except Stopped as exc:

@@ -58,15 +58,17 @@ def run(
     plan = _with_control(Experiment.load(experiment), controller, profile)
 
     from datetime import datetime
+    from pathlib import Path
 
     from fiohost.bench.connect import connect
+    from fiohost.files import FreeName
 
-    log_to = log_to or f"{plan.name}-{datetime.now():%Y%m%d-%H%M%S}.csv"
+    log_path: str | FreeName = log_to or FreeName(Path(f"{plan.name}-{datetime.now():%Y%m%d-%H%M%S}.csv"))
     with connect(target, seed=parse_seed(seed), realtime=realtime) as bench:
         loop = "closed loop" if plan.closed_loop else "open loop"
         out(f"{plan.name}: {plan.title or loop}; {loop}, {plan.duration_s:g} s on {bench.transport.name}")
         watch = _progress(out) if bench.clock.real else None
-        log = bench.run(plan, log_to, progress=watch, progress_every_s=1.0)
+        log = bench.run(plan, log_path, progress=watch, progress_every_s=1.0)
         result = _result(plan, log, bench.transport.name) | {"tick_statistics": bench.statistics.as_dict()}
         _say(out, result, bench.statistics.describe())
     out.json(result)
@@ -140,7 +142,7 @@ def _say(out: Output, result: dict[str, Any], statistics: str) -> None:
     if "error_rms_second_half_deg" in result:
         out(f"error against the reference, second half: {result['error_rms_second_half_deg']:.3g} deg rms; "
             f"duty at its limit in {100 * result['saturated_share']:.1f} % of the ticks")  # fmt: skip
-    out(f"{statistics}; {result['rows']} rows in {result['log']}; brake sent")
+    out(f"{statistics}; {result['rows']} rows in {result['log']}; braked")
     for note in result["notes"]:
         out(f"note: {note}")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fiohost.control.controllers import PD, PI, PID, Controller, P
 from fiohost.control.deadband import DeadbandCompensator
 from fiohost.control.law import ControlLaw
-from fiohost.errors import ConfigError
+from fiohost.files import write_output
 from fiohost.settings import Table, read_toml
 
 if TYPE_CHECKING:
@@ -123,12 +123,9 @@ class ControlSettings:
         return found
 
     def save(self, path: Path, comment: str = "") -> None:
-        """Write a ``fiohost.controller/1`` file. Raises ConfigError if it cannot be written."""
+        """Write a ``fiohost.controller/1`` file. Raises FiohostError if it cannot be written."""
         lines = [*(f"# {line}" for line in comment.splitlines()), f'schema = "{SCHEMA}"', "", *self.to_toml()]
-        try:
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as exc:
-            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+        write_output(path, "\n".join(lines) + "\n")
 
     def describe_numbers(self) -> dict[str, float | str]:
         """Every setting that the kind has, as it is."""

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fiohost.errors import ConfigError
+from fiohost.files import write_output
 from fiohost.motor.model import Model
-from fiohost.settings import nearest, read_toml
+from fiohost.settings import exists, nearest, read_toml
 
 SCHEMA = "fiohost.constants/1"
 BOUNDS = {
@@ -54,7 +55,7 @@ class MotorConstants:
         if name_or_path in TEXT:
             return TEXT[name_or_path]
         path = Path(name_or_path)
-        if path.suffix != ".toml" and not path.is_file():
+        if path.suffix != ".toml" and not exists(path):
             raise ConfigError(
                 f"unknown constants {name_or_path!r}; {nearest(name_or_path, TEXT)} (or give a .toml file)"
             )
@@ -73,10 +74,7 @@ class MotorConstants:
         source = self.source.replace("\\", "/").replace('"', "'")
         lines = [f'schema = "{SCHEMA}"', f'source = "{source}"']
         lines += [f"{key} = {getattr(self, key)!r}" for key in BOUNDS]
-        try:
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as exc:
-            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+        write_output(path, "\n".join(lines) + "\n")
 
     @property
     def damping_Nms(self) -> float:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from fiohost.bench.table import read_cells
 from fiohost.errors import ConfigError
+from fiohost.files import write_output
 from fiohost.settings import nearest, read_toml
 
 SCHEMA = "fiohost.characterisation/1"
@@ -147,10 +148,7 @@ class Readings:
             rows(kind, keys, values)
             rows(kind, keys, stalled, ", stalled = true")
             lines.append("]")
-        try:
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as exc:
-            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+        write_output(path, "\n".join(lines) + "\n")
 
 
 def check_port(port: str, where: str = "") -> None:

@@ -1,7 +1,8 @@
 """Compilation of the numeric kernels, kept on disk so that only the first run pays for it.
 
 The cache lives in the user's cache folder under a hash of all sources of this room: numba's own check looks at one file
-only and would miss a changed effect. Where no folder can be written the kernels are compiled in memory.
+only and would miss a changed effect. What lies there is unpickled, which runs code: so each folder below the root is
+this user's own, closed to all others and no link, or the kernels are compiled in memory.
 
 Kernels allocate nothing, so they are compiled without numba's reference counts: the atomic increments at every call
 cost more than the physics (a factor of ten on the whole simulation).
@@ -11,9 +12,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
-import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,25 +24,60 @@ import numba as _numba
 
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
+PRIVATE = 0o700
+
 
 @cache
 def cache_dir() -> Path | None:
-    """A writable folder for this version of the sources, or None."""
+    """A writable folder for this version of the sources, of this user alone, or None."""
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}".encode())
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    for root in (Path(base), Path(tempfile.gettempdir()) / f"cache-{os.getuid() if hasattr(os, 'getuid') else 'user'}"):
-        folder = root / "fiohost" / "kernels" / digest.hexdigest()[:16]
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            probe = folder / f".probe{os.getpid()}"
-            probe.write_bytes(b"")
-            probe.unlink()
-        except OSError:
-            continue
-        return folder
-    return None
+    folder = Path(base)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=PRIVATE)
+        if not is_safe_root(folder):
+            return None
+        for name in ("fiohost", "kernels", digest.hexdigest()[:16]):
+            folder = folder / name
+            if not make_own(folder):
+                return None
+        probe = folder / f".probe{os.getpid()}"
+        probe.write_bytes(b"")
+        probe.unlink()
+    except (OSError, RuntimeError):
+        return None
+    return folder
+
+
+def make_own(folder: Path) -> bool:
+    """Make a folder of this user alone, or see that it is one: no link, owned by this user, closed to others."""
+    with suppress(FileExistsError):
+        folder.mkdir(mode=PRIVATE)
+    if not hasattr(os, "getuid"):
+        return True  # Windows keeps the folders of users apart
+    found = os.lstat(folder)
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        return False
+    if stat.S_IMODE(found.st_mode) & 0o077:
+        if any(folder.iterdir()) and stat.S_IMODE(found.st_mode) & 0o022:
+            return False  # others may have put something there
+        folder.chmod(PRIVATE)
+    return True
+
+
+def is_safe_root(folder: Path) -> bool:
+    """Whether nobody but this user and root can put another folder in the place of one below it."""
+    if not hasattr(os, "getuid"):
+        return True
+    for place in (folder.resolve(), *folder.resolve().parents):
+        found = os.stat(place)
+        if found.st_uid not in (0, os.getuid()):
+            return False
+        if stat.S_IMODE(found.st_mode) & 0o022 and not found.st_mode & stat.S_ISVTX:
+            return False
+    return True
 
 
 def compiled(function: Callable[..., Any]) -> Any:

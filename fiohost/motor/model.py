@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fiohost.errors import ConfigError, FiohostError, ModelError
+from fiohost.files import write_output
 from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layout
 from fiohost.settings import config_names, find_config, nearest, read_toml
 
@@ -102,7 +103,7 @@ class Model:
             raise ConfigError(f"{path}: {exc}") from exc
 
     def write(self, path: Path, comment: str = "") -> None:
-        """Write a ``fiohost.model/1`` file. Raises ConfigError if it cannot be written."""
+        """Write a ``fiohost.model/1`` file. Raises FiohostError if it cannot be written."""
         lines = [f"# {line}" for line in comment.splitlines()]
         quoted = ", ".join(f'"{name}"' for name in self.effects)
         lines += [f'schema = "{SCHEMA}"', f"effects = [{quoted}]"]
@@ -115,10 +116,7 @@ class Model:
         if self.fixed:
             names = ", ".join(f'"{name}"' for name in sorted(self.fixed))
             lines += ["", "[fixed]", f"names = [{names}]"]
-        try:
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as exc:
-            raise ConfigError(f"cannot write {path}: {exc.strerror}") from exc
+        write_output(path, "\n".join(lines) + "\n")
 
     def on_axis(self, rotary: bool) -> Model:
         """The model for logs of a shaft or of a linear axis, where numbers that people gave are in metres.

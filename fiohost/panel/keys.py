@@ -1,7 +1,7 @@
 """Keys of a terminal, read between two ticks without waiting, and the program that obeys them.
 
-While they are read the terminal passes each key on at once, shows none of them, and does not let Ctrl-Z, Ctrl-\\ or
-Ctrl-S stop this process with the motor running. Its settings are put back however the run ends.
+While they are read the terminal passes each key on at once, shows none of them, and Ctrl-Z and Ctrl-\\ are keys without
+a meaning. Its settings are put back however the run ends.
 """
 
 from __future__ import annotations
@@ -84,7 +84,6 @@ class Keyboard:
 
         self._before = termios.tcgetattr(self._fd)
         mode = termios.tcgetattr(self._fd)
-        mode[0] &= ~termios.IXON
         mode[3] &= ~(termios.ICANON | termios.ECHO)
         nothing = b"\0"
         for name in ("VSUSP", "VQUIT", "VDSUSP"):

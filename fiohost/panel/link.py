@@ -132,8 +132,7 @@ class PanelProgram:
                 raise ValueError(f"unknown message {message!r}")
 
     def _news(self) -> News:
-        readings = list(self._readings)
-        self._readings.clear()
+        readings = [self._readings.popleft() for _ in range(len(self._readings))]  # more may come meanwhile
         statistics = self._bench.statistics
         return News(
             readings=readings,
@@ -166,9 +165,12 @@ class Remote:
     def news(self) -> News | None:
         """What came since the last call, and a question for more. Raises EOFError once the bench has ended."""
         found = None
-        while self._bench.poll():
-            found = News.parse(self._bench.recv_bytes())
-            self._asked = False
+        try:
+            while self._bench.poll():
+                found = News.parse(self._bench.recv_bytes())
+                self._asked = False
+        except OSError as exc:  # it ended with something of ours unread
+            raise EOFError("the bench has ended") from exc
         if not self._asked:
             self._send({"frame": True})
             self._asked = True

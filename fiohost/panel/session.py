@@ -10,11 +10,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 from fiohost.bench.loop import Bench
 from fiohost.errors import FiohostError
+from fiohost.files import Output
 from fiohost.panel.link import READING_S, Facts, PanelProgram, Remote
 
 START_LIMIT_S = 60.0  # for a display to stand: the first import of matplotlib builds a cache of fonts
@@ -26,7 +26,7 @@ def run_panel(
     bench: Bench,
     kind: str,
     options: dict[str, Any],
-    log_path: str | Path | None = None,
+    log_path: Output | None = None,
     say: Callable[[str], None] = lambda where: None,
 ) -> int:
     """Show a display (WINDOW or WEB, with its *options*), drive as it asks until it is closed, brake; gives rows.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fiohost.errors import FiohostError
+from fiohost.files import write_output
 from fiohost.report.plots import AFTER, BEFORE, FLOOR, GREY, STYLE
 
 FRAMES_PER_S = 25
@@ -147,7 +148,6 @@ def _save(path: Path, figure: Figure, time_s: np.ndarray, moving: Sequence[Any],
         for artist in moving:
             artist.axes.draw_artist(artist)
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").quantize(64))
-    try:
-        frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 // FRAMES_PER_S, loop=0)
-    except OSError as exc:
-        raise FiohostError(f"cannot write the animation {path}: {exc.strerror}") from exc
+    drawn = io.BytesIO()
+    frames[0].save(drawn, "GIF", save_all=True, append_images=frames[1:], duration=1000 // FRAMES_PER_S, loop=0)
+    write_output(path, drawn.getvalue())

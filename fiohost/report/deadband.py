@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -10,7 +9,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fiohost.bench.deadband import Deadband
-from fiohost.errors import FiohostError
 from fiohost.report.plots import AFTER, BEFORE, STYLE
 
 METHOD_WORDS = {"ramp": "slow ramps", "steps": "steps from rest"}
@@ -61,11 +59,3 @@ def plot_deadband(deadband: Deadband, target: str) -> Figure:
         f"Deadband of {target}: {len(found)} starts by {METHOD_WORDS[deadband.method]} in each direction", fontsize=12
     )
     return figure
-
-
-def save_deadband_plot(deadband: Deadband, target: str, path: str | Path) -> None:
-    """Write the picture; the file's suffix is its format (png, svg, pdf). Raises FiohostError."""
-    try:
-        plot_deadband(deadband, target).savefig(path, dpi=130)
-    except (OSError, ValueError) as exc:
-        raise FiohostError(f"cannot write the plot {path}: {exc}") from exc

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from fiohost.errors import FiohostError
 from fiohost.estimation.logs import Curve as LogCurve
 from fiohost.report.panels import Curve, Panel, plot_panels
 
@@ -49,11 +47,3 @@ def _window(curve: LogCurve) -> tuple[float, float]:
         return begin, end
     length = float(edges[1] - edges[0])
     return float(edges[0]) - 0.03 * length, float(edges[0]) + SHOWN * length
-
-
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a picture; the file's suffix is its format (png, svg, pdf). Raises FiohostError."""
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as exc:
-        raise FiohostError(f"cannot write the plot {path}: {exc}") from exc

@@ -5,8 +5,6 @@ Nothing in it is loaded from anywhere: style and pictures are inside, so that it
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from typing import Any
 import jinja2
 
 from fiohost import __version__
-from fiohost.errors import LogError
+from fiohost.files import make_folder, write_output
 from fiohost.report import preliminary, words
 from fiohost.report.outlook import empirical_sentence, limit_rows, upcoming_sentence
 from fiohost.report.plots import (
@@ -51,24 +49,13 @@ def write_page(
     that it is of, ``improvement_of`` (``free_run_rms`` or ``window_rms``); other keys are listed as they are.
     ``follow_up`` says what an experiment that was run in addition made of the names.
     ``seal`` is what a sealed bench turned out to be: any nested mapping.
-    Raises LogError where the file cannot be written.
+    Raises FiohostError where the file cannot be written.
     """
     html = render(
         title=title, diagnosis=diagnosis, series=series, seal=seal, confirm=confirm, curves=curves, follow_up=follow_up
     )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".page.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(html)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as exc:
-        raise LogError(f"cannot write the page {path}: {exc.strerror}") from exc
+    make_folder(path.parent)
+    write_output(path, html)
     return path
 
 

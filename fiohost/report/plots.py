@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from fiohost.errors import LogError
+from fiohost.files import make_folder, write_output
 from fiohost.report.series import Array, CurvePlot, SeriesPlot
 from fiohost.report.words import effect_words, share
 
@@ -29,6 +29,7 @@ LINE_CYCLE = (AFTER, BEFORE, FLOOR, "#CC79A7", "#56B4E9", "#E69F00")
 ROLES = {"train": "training", "holdout": "held out", "confirm": "fresh record, never used before"}
 MAX_POINTS = 3000
 STYLE: dict[Any, Any] = {
+    "text.parse_math": False,  # a name with dollar signs is no formula
     "font.size": 10.0,
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
@@ -244,14 +245,10 @@ def save_plots(
     pictures += [(f"log_{i:02d}_{s.title}", plot_series(s)) for i, s in enumerate(series, start=1)]
     pictures += [(f"curve_{i:02d}_{c.title.partition(':')[0]}", plot_curve(c)) for i, c in enumerate(curves, start=1)]
     written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, figure in pictures:
-            path = folder / (re.sub(r"[^A-Za-z0-9_.-]+", "_", name)[:80] + ".png")
-            path.write_bytes(as_png(figure))
-            written.append(path)
-    except OSError as exc:
-        raise LogError(f"cannot write pictures into {folder}: {exc.strerror}") from exc
+    make_folder(folder)
+    for name, figure in pictures:
+        path = folder / (re.sub(r"[^A-Za-z0-9_.-]+", "_", name)[:80] + ".png")
+        written.append(write_output(path, as_png(figure)))
     return written
 
 

@@ -10,10 +10,24 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from fiohost.errors import DisconnectedError
+
+
+@dataclass(frozen=True)
+class Way:
+    """How another process can write to an open line: by its descriptor, by a node, or by a path of a hidapi module.
+
+    ``prefix`` goes before each report.
+    """
+
+    fd: int = -1
+    path: str = ""
+    module: str = ""
+    prefix: bytes = b""
 
 
 class Transport(ABC):
@@ -30,6 +44,7 @@ class Transport(ABC):
     stream: bool = False
     facts: Mapping[str, str]
     can_reopen: bool = False  # a board on a cable, which may be plugged in again
+    is_known_again: bool = False  # it has a serial number by which :meth:`reopen` tells it from others
     counts_per_rev: int | None = None  # where the board is known better than by its profile
     passed_over: int = 0  # reports that came with a newer one and were never read
 
@@ -59,6 +74,11 @@ class Transport(ABC):
         Raises TransportError while the board is not back.
         """
         raise DisconnectedError(f"{self.name} does not come back: open it anew")
+
+    @property
+    def way(self) -> Way | None:
+        """How a guardian reaches the open line; None where there is no motor that could run on."""
+        return None
 
     def __enter__(self) -> Self:
         self.open()

@@ -22,7 +22,7 @@ from typing import Any
 
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
 from fiohost.transport.access import refusal, usb_interface, usb_node
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 from fiohost.transport.hid_modules import Backend, working_backends
 from fiohost.transport.lock import DeviceLock
 
@@ -140,6 +140,7 @@ class HidTransport(Transport):
             return _why(info, what, exc)
         self._device, self._lock, self._backend, self._known = device, lock, backend, info
         self.identity = _handle(info)
+        self.is_known_again = bool(info.get("serial_number"))
         self.facts = {"hid_backend": f"{backend.name} {backend.version}"}
         self._found_gone = False
         self._drain()  # what an earlier host left there
@@ -154,6 +155,15 @@ class HidTransport(Transport):
         if self._lock is not None:
             self._lock.release()
             self._lock = None
+
+    @property
+    def way(self) -> Way | None:
+        if self._device is None or self._known is None or self._backend is None:
+            return None
+        path = path_text(self._known)
+        is_node = path.startswith("/dev/hidraw")
+        module = "" if is_node else getattr(self._backend.module, "__name__", "")
+        return Way(path=path, module=module, prefix=self._prefix) if is_node or module else None
 
     # ---- talking --------------------------------------------------------------------------------------------------
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fiohost.errors import ConfigError
-from fiohost.settings import Table, find_config, read_toml
+from fiohost.settings import Table, find_config, parse_toml, read_text
 from fiohost.wire.layout import Layout
 from fiohost.wire.messages import (
     COMMAND_FIELDS,
@@ -70,6 +69,44 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Guards:
+    """When a bench believes that something is wrong with the motor, and brakes. :mod:`fiohost.bench.rest` and
+    :mod:`fiohost.bench.guard` judge by them.
+    """
+
+    braked_deg_s: float = 60.0  # a braked shaft that a load turns no faster than this is not a running motor
+    stall_s: float = 3.0  # of full duty, or as long for the same heat, while the shaft stands
+    wrong_way_deg: float = 180.0  # against a strong duty, ever faster
+    speed_deg_s: float = 10_000.0  # no shaft turns faster: readings that say so are wrong ones
+    late_pct: float = 1.0  # of the ticks may be missed or late because of the host
+    gap_s: float = 0.1  # the host's loop stood still for so long: the guardian brakes, and the run ends
+
+    def changed(self, other: Mapping[str, float]) -> Guards:
+        """These guards, with the values of *other* in the place of some. Raises ConfigError."""
+        asked = Guards.from_table(Table(dict(other), "guards"))
+        return replace(self, **{key: getattr(asked, key) for key in other})
+
+    @classmethod
+    def from_table(cls, table: Table) -> Guards:
+        """Read a table of guards, any of which may be absent. Raises ConfigError."""
+        found = {key: table.number(key, low=low, high=high) for key, (low, high) in _GUARDS.items() if key in table}
+        for key in _GUARDS:
+            table.raw(key)
+        table.finish()
+        return cls(**found)
+
+
+_GUARDS = {
+    "braked_deg_s": (0.0, 1e6),
+    "gap_s": (0.02, 60.0),
+    "late_pct": (0.0, 100.0),
+    "stall_s": (0.05, 1e9),
+    "wrong_way_deg": (5.0, 1e9),
+    "speed_deg_s": (1.0, 1e9),
+}
+
+
+@dataclass(frozen=True)
 class TargetProfile:
     """One board: medium, layouts, identity and limits."""
 
@@ -89,20 +126,19 @@ class TargetProfile:
     baud: int = DEFAULT_BAUD  # of a serial line; a USB port of the board's own has no use for it
     watchdog_s: float = 0.0  # the board brakes by itself after so long without a command; 0: it never does
     board: str = ""  # what it calls itself when asked; empty where nobody knows
+    guards: Guards = Guards()
 
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_PROFILE) -> TargetProfile:
         """Read a profile by name or path. Raises ConfigError for unknown keys and layouts that do not fit."""
         path = find_config("targets", name_or_path)
-        return cls._read(read_toml(path), path.stem, path.read_text(encoding="utf-8"))
+        text = read_text(path)
+        return cls._read(parse_toml(text, str(path)), path.stem, text)
 
     @classmethod
     def parse(cls, text: str, name: str) -> TargetProfile:
         """A profile from the text of its file, as a trace carries it. Raises ConfigError."""
-        try:
-            return cls._read(Table(tomllib.loads(text), f"profile {name}"), name, text)
-        except (ValueError, RecursionError) as exc:
-            raise ConfigError(f"profile {name} is not valid TOML: {exc}") from exc
+        return cls._read(parse_toml(text, f"profile {name}"), name, text)
 
     @classmethod
     def _read(cls, top: Table, name: str, text: str) -> TargetProfile:
@@ -116,6 +152,7 @@ class TargetProfile:
         baud = top.integer("baud", DEFAULT_BAUD, low=50, high=50_000_000)
         watchdog_s = top.number("watchdog_s", 0.0, low=0.0, high=60.0)
         identity, limits = top.table("identity"), Limits.from_table(top.table("limits"))
+        guards = Guards.from_table(top.table("guards"))
         command = Layout.from_table(top.table("command", required=True), NUMBERED_COMMAND_FIELDS, COMMAND_FIELDS)
         telemetry = Layout.from_table(
             top.table("telemetry", required=True), NUMBERED_TELEMETRY_FIELDS, TELEMETRY_FIELDS
@@ -138,7 +175,7 @@ class TargetProfile:
         codec = Codec(command, telemetry, counts_per_rev)
         return cls(
             name, title, transport, status, sample_time_s, counts_per_rev, duty_steps, vendor_id, product_id,
-            limits, codec, board_layout, text, baud, watchdog_s, board,
+            limits, codec, board_layout, text, baud, watchdog_s, board, guards,
         )  # fmt: skip
 
     @property

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
 from fiohost.settings import nearest
 from fiohost.transport.access import UDEV_CURE
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -65,6 +65,7 @@ class SerialTransport(Transport):
         info = next((info for info in _ports() if info.device == path), None)
         self._key = _key(info) if info is not None and info.vid is not None else None
         self.identity = _identity(info) if self._key else path
+        self.is_known_again = info is not None and bool(info.serial_number)
 
     def reopen(self) -> None:
         self.close()
@@ -113,6 +114,10 @@ class SerialTransport(Transport):
         if port is not None:
             with suppress(*_GONE):
                 port.close()
+
+    @property
+    def way(self) -> Way | None:
+        return Way(fd=self._fd) if self._fd >= 0 else None
 
     def _taken(self) -> Any:
         if self._port is None:

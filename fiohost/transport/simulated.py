@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError
+from fiohost.files import note_input
 from fiohost.transport.base import Transport
 from fiohost.transport.profile import DEFAULT_BOARD_LAYOUT
 
@@ -79,8 +80,10 @@ def plant_board(
     *layout*: the reports that the board speaks, by its own name of them. *duty_steps*: timer counts of a PWM period;
     0 are the 3600 of the real one.
     """
-    from firmware_model import FirmwareModelError, load_plant
+    from firmware_model import FirmwareModelError, load_plant, plant_names
 
+    if plant_name and plant_name not in plant_names():
+        note_input(plant_name, ConfigError)  # the firmware model reads it by itself
     try:
         plant = load_plant(plant_name or DEFAULT_PLANT)
         board = _make(plant, seed, layout, duty_steps)

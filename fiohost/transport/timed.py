@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 
 
 class TimedTransport(Transport):
@@ -21,6 +21,7 @@ class TimedTransport(Transport):
         inner = self.inner
         self.name, self.identity, self.facts = inner.name, inner.identity, inner.facts
         self.passed_over, self.can_reopen = inner.passed_over, inner.can_reopen
+        self.is_known_again = inner.is_known_again
         self.lock_step, self.stream, self.counts_per_rev = inner.lock_step, inner.stream, inner.counts_per_rev
 
     def open(self) -> None:
@@ -29,6 +30,7 @@ class TimedTransport(Transport):
 
     def reopen(self) -> None:
         self.inner.reopen()
+        self._take_over()
 
     def send(self, report: bytes) -> None:
         self.inner.send(report)
@@ -42,6 +44,10 @@ class TimedTransport(Transport):
         self.received_s.append(self._now_s())
         self._is_answered = False
         return report
+
+    @property
+    def way(self) -> Way | None:
+        return self.inner.way
 
     def close(self) -> None:
         self.inner.close()

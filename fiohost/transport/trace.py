@@ -10,17 +10,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
-from fiohost.errors import ConfigError, LogError
+from fiohost import files
+from fiohost.background import Background
+from fiohost.errors import ConfigError, FiohostError, LogError
 
 SCHEMA = "fiohost.trace/1"
 DIRECTIONS = ("out", "in", "none", "gone")
 MAX_LINE_BYTES = 100_000
+MAX_TRACE_BYTES = 10_000_000_000  # read line by line
+MAX_WAITING = 1000  # lines that a disk may be behind: 2.5 s at 5 ms
+CLOSE_LIMIT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -34,24 +38,32 @@ class Event:
 
 
 class TraceWriter:
-    """Writes one trace, of any number of sessions. Raises LogError where the file cannot be written."""
+    """Writes one trace, of any number of sessions. Raises LogError where the file cannot be written.
+
+    A session on a real line is written by a thread of its own: a disk that does not answer must not hold up the loop.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._origin_s, self._begun = 0.0, False
+        self._behind: Background[bytes] | None = None
+        self._origin_s = 0.0
+        self._file: BinaryIO | None = None
         try:
-            self._file = self.path.open("ab", buffering=0)  # a line is one write: a killed host loses none
-        except OSError as exc:
-            raise LogError(f"cannot write the trace {path}: {exc.strerror}; nothing was driven") from exc
-        self._works = True
+            files.claim(path, "the trace")
+        except FiohostError as exc:
+            raise LogError(f"{exc}; nothing was driven") from exc
+        self._works, self._said = True, False
 
     def session(self, head: Mapping[str, Any], now_s: float) -> None:
         """Begin a session, one bench on one line; its times begin at 0."""
         self._origin_s = now_s
-        if not self._begun:  # only now: what was there before may be the trace to be replayed
-            self._begun = True
-            with suppress(OSError):  # a pipe has nothing to take away
-                self._file.truncate(0)
+        if self._file is None:  # only now: what was there before may be what is to be replayed
+            try:
+                self._file, _ = files.open_log(self.path, "the trace")  # a line is one write: a killed host loses none
+            except FiohostError as exc:
+                raise LogError(f"{exc}; nothing was driven") from exc
+        if self._behind is None and not head.get("lock_step"):
+            self._behind = Background(self._write, MAX_WAITING, "trace")
         self._line({"schema": SCHEMA, **head})
 
     def event(self, now_s: float, direction: str, data: bytes = b"", passed_over: int = 0) -> None:
@@ -63,18 +75,38 @@ class TraceWriter:
         self._line(line)
 
     def close(self) -> None:
+        """Raises LogError where not all could be written."""
         self._works = False
-        self._file.close()
+        behind = self._behind
+        if behind is not None and not behind.close(CLOSE_LIMIT_S):
+            raise LogError(f"the disk under the trace {self.path} does not answer: {behind.waiting} lines are lost")
+        if self._file is not None:
+            self._file.close()
+        if behind is not None and behind.problem is not None and not self._said:
+            raise behind.problem
 
     def _line(self, content: dict[str, Any]) -> None:
         if not self._works:  # said once; the brake must go out whatever the disk does
             return
         data = json.dumps(content, ensure_ascii=False).encode() + b"\n"
+        behind = self._behind
+        try:
+            if behind is None:
+                self._write(data)
+            elif behind.problem is not None:
+                raise behind.problem
+            elif not behind.put(data):
+                raise LogError(f"cannot write the trace {self.path}: the disk takes nothing; what was written is safe")
+        except LogError:
+            self._works, self._said = False, True
+            raise
+
+    def _write(self, data: bytes) -> None:
+        assert self._file is not None
         try:
             while data:  # a nearly full disk may take a part
                 data = data[self._file.write(data) or 0 :]
         except OSError as exc:
-            self._works = False
             raise LogError(f"cannot write the trace {self.path}: {exc.strerror}; what was written is safe") from exc
 
     def __enter__(self) -> Self:
@@ -91,11 +123,8 @@ class TraceReader:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        try:
-            with self.path.open("rb") as file:
-                first = file.readline(MAX_LINE_BYTES + 1)
-        except OSError as exc:
-            raise ConfigError(f"cannot read the trace {path}: {exc.strerror}") from exc
+        with files.open_input(path, MAX_TRACE_BYTES, "the trace", ConfigError) as file:
+            first = file.readline(MAX_LINE_BYTES + 1)
         head = _object(first)
         if head is None or head.get("schema") != SCHEMA:
             raise ConfigError(f"{path} is not a trace: its first line is no head with the schema {SCHEMA}")
@@ -104,7 +133,7 @@ class TraceReader:
     def events(self) -> Iterator[Event]:
         """The events in their order, of all sessions. Raises ConfigError for a line that is none."""
         try:
-            with self.path.open("rb") as file:
+            with files.open_input(self.path, MAX_TRACE_BYTES, "the trace", ConfigError) as file:
                 number = 0
                 while line := file.readline(MAX_LINE_BYTES + 1):
                     number += 1

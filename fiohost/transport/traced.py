@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from fiohost.errors import DisconnectedError, LogError, TelemetryTimeoutError
-from fiohost.transport.base import Transport
+from fiohost.transport.base import Transport, Way
 from fiohost.transport.trace import TraceWriter
 
 traffic = logging.getLogger("fiohost.traffic")
@@ -33,6 +33,7 @@ class TracedTransport(Transport):
         inner = self.inner
         self.name, self.identity, self.facts = inner.name, inner.identity, inner.facts
         self.can_reopen = inner.can_reopen
+        self.is_known_again = inner.is_known_again
         self.lock_step, self.stream, self.counts_per_rev = inner.lock_step, inner.stream, inner.counts_per_rev
 
     def open(self) -> None:
@@ -55,6 +56,7 @@ class TracedTransport(Transport):
 
     def reopen(self) -> None:
         self.inner.reopen()
+        self._take_over()
 
     def send(self, report: bytes) -> None:
         if self._debug:
@@ -81,6 +83,10 @@ class TracedTransport(Transport):
             traffic.debug("in  %3d: %s", len(report), report.rstrip(b"\0").hex(" "))
         self._tell("in", report, self.passed_over - before)
         return report
+
+    @property
+    def way(self) -> Way | None:
+        return self.inner.way
 
     def close(self) -> None:
         self.inner.close()

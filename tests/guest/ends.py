@@ -64,7 +64,7 @@ def fiohost(line: Line | None, *arguments: str, framed: bool = False) -> Child:
         main(list(words))
 
     target = [] if line is None else ["--target", line.framed if framed else line.target]
-    return Child("fiohost", run, [*arguments, *target])
+    return Child("fiohost", run, [*arguments, "--force", *target])  # steps share their files
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import stat
 import subprocess
 import time
@@ -39,6 +40,7 @@ def _running(line: Line, name: str, *options: str) -> tuple[Child, Path, Path]:
     """A run that has got going, its log and its trace."""
     log, trace = WORK / f"{name}.csv", WORK / f"{name}.jsonl"
     log.unlink(missing_ok=True)
+    trace.unlink(missing_ok=True)
     child = fiohost(line, "run", str(CLOSED_LOOP), "--log", str(log), "--trace", str(trace), *options)
     child.wait_for(lambda: row_count(log) >= 300, 60.0, "300 rows")
     return child, log, trace
@@ -72,6 +74,7 @@ def reconnected(line: Line) -> tuple[Child, str]:
     back = child.wait_line("braked first of all") - plugged_s
     log = read_log(path)
     check(log.head["ending"].startswith("stopped: DisconnectedError"), f"the log's ending is {log.head['ending']!r}")
+    (WORK / "rest.csv").unlink(missing_ok=True)
     probe = fiohost(line, "manual", "--pwm", "0", "--duration", "0.3", "--log", str(WORK / "rest.csv"))
     check(probe.wait() == 0, f"after the reconnection: {probe.said()[-300:]}")
     rest = read_log(WORK / "rest.csv").rows
@@ -109,10 +112,27 @@ def fresh(line: Line) -> tuple[None, str]:
 
 
 def killed(line: Line) -> tuple[Child, str]:
+    """Host and guardian at once, as a computer that dies; the board's watchdog brakes."""
+    child, note, braked = _killed(line, and_guardian=True)
+    check(0.5 * WATCHDOG_S < braked < GATE_S, f"{note}: the motor ran on, or was braked by another")
+    return child, f"{note} (watchdog {1e3 * WATCHDOG_S:.0f} ms)"
+
+
+def guarded(line: Line) -> tuple[Child, str]:
+    """The host alone, on a board without a watchdog: the guardian brakes."""
+    child, note, braked = _killed(line, and_guardian=False)
+    check(0.0 < braked < GATE_S, f"{note}: the motor ran on")
+    return child, f"{note} (guardian)"
+
+
+def _killed(line: Line, *, and_guardian: bool) -> tuple[Child, str, float]:
     path = WORK / "killed.csv"
     path.unlink(missing_ok=True)
     child = fiohost(line, "manual", "--pwm", "80", "--log", str(path), framed=True)
     child.wait_for(lambda: row_count(path) >= 300, 60.0, "300 rows")
+    for guardian in Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split():
+        if and_guardian:
+            os.kill(int(guardian), signal.SIGKILL)
     child.kill()
     killed_s = time.monotonic()
     seen = watch(line, framed_pos, 2.0)
@@ -123,8 +143,8 @@ def killed(line: Line) -> tuple[Child, str]:
     braked = next((seen[k][0] for k in range(4, len(seen)) if _speed(seen, k) < 0.9 * per_tick), 0.0) - killed_s
     rest = next((at_s for at_s, pos in seen if pos == seen[-1][1] == seen[-50][1]), 0.0) - killed_s
     note = f"slower {1e3 * braked:.0f} ms after the kill, at rest after {1e3 * rest:.0f} ms"
-    check(0.5 * WATCHDOG_S < braked < GATE_S and rest > braked, f"{note}: the motor ran on, or was braked by another")
-    return child, f"{note} (watchdog {1e3 * WATCHDOG_S:.0f} ms)"
+    check(rest > braked, f"{note}: it did not come to rest")
+    return child, note, braked
 
 
 def _speed(seen: list[tuple[float, int]], k: int) -> float:

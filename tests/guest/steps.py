@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from children import Child, StepFailed
 from ends import HIDRAW, LIBUSB, SERIAL, WORK, Line, board
-from mishaps import WATCHDOG_S, fresh, killed, reconnected, udev_rules, unplugged
+from mishaps import WATCHDOG_S, fresh, guarded, killed, reconnected, udev_rules, unplugged
 from ordinary import CLOSED_LOOP, EXPERIMENT, closed_loop, deadband, doctor, manual
 from plug import replug
 
@@ -30,8 +30,10 @@ BOARDS: tuple[tuple[Line, tuple[str, ...], tuple[tuple[str, Step], ...]], ...] =
     (LIBUSB, (), ORDINARY),
     (LIBUSB, ("--layout", LIBUSB.framed_layout), (("opened anew, held up", fresh),)),
     (HIDRAW, ("--layout", HIDRAW.framed_layout, *WATCHDOG), (("kill -9, watchdog", killed),)),
+    (HIDRAW, ("--layout", HIDRAW.framed_layout), (("kill -9, guardian", guarded),)),
     (SERIAL, (), ORDINARY),
     (SERIAL, ("--layout", SERIAL.framed_layout, *WATCHDOG), (("kill -9, watchdog", killed),)),
+    (SERIAL, ("--layout", SERIAL.framed_layout), (("kill -9, guardian", guarded),)),
 )
 EVERYTHING = (
     *("fiohost.bench.connect", "fiohost.bench.deadband", "fiohost.bench.doctor", "fiohost.report.deadband"),

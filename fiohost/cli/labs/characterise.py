@@ -9,7 +9,8 @@ import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_number, parse_seed, wire_options
-from fiohost.cli.output import check_not_input, check_writable, output_for
+from fiohost.cli.output import output_for
+from fiohost.files import claim
 
 if TYPE_CHECKING:
     from fiohost.labs.readings import Readings
@@ -35,7 +36,7 @@ def characterise(
     inductance: str,
     supply: str | None,
     save_to: str | None,
-    report: str,
+    report: str | None,
     json_to: str | None,
 ) -> None:
     """Ra, Ki, Kb, B, dry friction, time constant and inertia with 95 % intervals, beside the text's values.
@@ -52,8 +53,7 @@ def characterise(
     full_V = None if supply is None else parse_number("--supply", supply, 0.1, 1000.0, "V")
     out, folder = output_for(json_to), report_folder(report)
     if save_to is not None:
-        check_writable(save_to)
-        check_not_input(save_to, [Path(readings_from)] if readings_from else [])
+        claim(save_to)
 
     from fiohost.labs.characterise import characterise as evaluate
     from fiohost.labs.characterise import constants_of, solve

@@ -20,7 +20,7 @@ from fiohost.cli.output import output_for
 @result_options
 def design(
     target: str, seed: str | None, profile: str | None, model: str | None, controller: str, overshoot: str,
-    settling: str, sse: str, report: str, json_to: str | None,
+    settling: str, sse: str, report: str | None, json_to: str | None,
 ) -> None:  # fmt: skip
     """Design a controller in simulation, then run it on squares of 170/190, 135/225 and 90/270 deg: both in one table
     and one picture each.

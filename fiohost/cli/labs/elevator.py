@@ -52,7 +52,7 @@ def elevator(
     live: bool,
     current_limit: str | None,
     full_scale: str,
-    report: str,
+    report: str | None,
     json_to: str | None,
 ) -> None:
     """Seven floors, a car that hangs on the drum: P, PI and limited power on model and target, then a ride by buttons.

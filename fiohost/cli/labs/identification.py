@@ -13,7 +13,7 @@ from fiohost.cli.output import output_for
 @target_options
 @profile_option
 @result_options
-def identification(target: str, seed: str | None, profile: str | None, report: str, json_to: str | None) -> None:
+def identification(target: str, seed: str | None, profile: str | None, report: str | None, json_to: str | None) -> None:
     """Run a square wave of 170/190 deg, period 6 s, with C(s) = 1, and find K and tau by the steps' figures and by a
     fit of the second-order form; then say why they differ.
 

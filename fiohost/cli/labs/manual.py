@@ -12,7 +12,7 @@ from fiohost.cli.output import output_for
 @click.command()
 @target_options
 @result_options
-def manual(target: str, seed: str | None, report: str, json_to: str | None) -> None:
+def manual(target: str, seed: str | None, report: str | None, json_to: str | None) -> None:
     """Duty up and down in steps, both directions: speed against duty, dead zone, friction, brake and standby.
 
     What a hand on the slider of `fiohost panel` sees, as tables. On a real board it takes some minutes.

@@ -8,7 +8,8 @@ import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_seed, profile_option, target_options
-from fiohost.cli.output import check_writable, output_for
+from fiohost.cli.output import output_for
+from fiohost.files import claim
 
 
 @click.command()
@@ -18,7 +19,7 @@ from fiohost.cli.output import check_writable, output_for
 @click.option("--save", "save_to", metavar="FILE", help="Write the bench profile with the share that was found.")
 @result_options
 def precompensation(
-    target: str, seed: str | None, profile: str | None, controller: str | None, save_to: str | None, report: str,
+    target: str, seed: str | None, profile: str | None, controller: str | None, save_to: str | None, report: str | None,
     json_to: str | None,
 ) -> None:  # fmt: skip
     """Add shares of the deadband to a controller's output (Eq. 2.6), see where the loop jitters, and reduce them until
@@ -32,7 +33,7 @@ def precompensation(
     out = output_for(json_to)
     folder = report_folder(report)
     if save_to is not None:
-        check_writable(save_to)
+        claim(save_to)
 
     from fiohost.bench.connect import connect
     from fiohost.bench.profile import BenchProfile

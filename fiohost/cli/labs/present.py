@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fiohost.cli.output import Output, json_option, make_folder
-from fiohost.errors import FiohostError
+from fiohost import files
+from fiohost.cli.output import Output, json_option
 
 if TYPE_CHECKING:
     from fiohost.labs.result import Cell, LabResult, Table
@@ -21,16 +21,14 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 def result_options(command: Command) -> Command:
     """Add ``--report DIR`` and ``--json FILE|-``, as arguments ``report`` (text) and ``json_to``."""
-    text = "Folder for pictures and logs; made where it is missing."
-    command = click.option("--report", metavar="DIR", default="lab", show_default=True, help=text)(command)
+    text = "Folder for pictures and logs, new or empty.  [default: lab, or lab-N]"
+    command = click.option("--report", metavar="DIR", help=text)(command)
     return json_option(command)
 
 
-def report_folder(report: str) -> Path:
+def report_folder(report: str | None) -> Path:
     """The folder of ``--report``, made before any work is done. Raises FiohostError."""
-    folder = Path(report)
-    make_folder(folder)
-    return folder
+    return files.report_folder(Path(report or "lab"), chosen=report is not None)
 
 
 def present(result: LabResult, out: Output, folder: Path) -> None:
@@ -47,17 +45,14 @@ def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
         out(f"\n{answer.question}\n  {answer.answer}")
     for note in result.notes:
         out(f"note: {note}")
-    files = dict(result.files)
+    from fiohost.report.pictures import save_figure
+
+    made = dict(result.files)
     for name, draw in result.figures.items():
-        path = folder / f"{name}.png"
-        try:
-            draw().savefig(path, dpi=130)
-        except OSError as exc:
-            raise FiohostError(f"cannot write the picture {path}: {exc.strerror}") from exc
-        files[name] = str(path)
-    for role, name in files.items():
+        made[name] = str(save_figure(draw(), folder / f"{name}.png"))
+    for role, name in made.items():
         out(f"{role}: {name}")
-    return {**result.to_json(), "files": files}
+    return {**result.to_json(), "files": made}
 
 
 def cell_text(cell: Cell) -> str:

@@ -15,7 +15,9 @@ from fiohost.errors import ConfigError
 @click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="Ask it with another number; repeated.")
 @click.option("--list", "listing", is_flag=True, help="List the problems and the numbers in each.")
 @result_options
-def problems(problem: str | None, changes: tuple[str, ...], listing: bool, report: str, json_to: str | None) -> None:
+def problems(
+    problem: str | None, changes: tuple[str, ...], listing: bool, report: str | None, json_to: str | None
+) -> None:
     """Answer the problems D-1 to D-19 of the control lab appendix by computation, or one of them with other numbers.
 
     \b

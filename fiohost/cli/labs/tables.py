@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_seed
-from fiohost.cli.output import check_not_input, output_for
+from fiohost.cli.options import PATH, parse_seed
+from fiohost.cli.output import output_for
 from fiohost.cli.progress import progress
 
 
 @click.command()
 @click.option(
-    "--readings", multiple=True, required=True, type=click.Path(path_type=Path), metavar="FILE",
+    "--readings", multiple=True, required=True, type=PATH, metavar="FILE",
     help="A readings file, fiohost.readings/1; repeated files are judged together.",
 )  # fmt: skip
 @click.option(
@@ -24,7 +24,7 @@ from fiohost.cli.progress import progress
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 @result_options
 def tables(
-    readings: tuple[Path, ...], model: str, explain: tuple[str, ...], seed: str, report: str, json_to: str | None
+    readings: tuple[Path, ...], model: str, explain: tuple[str, ...], seed: str, report: str | None, json_to: str | None
 ) -> None:
     """Close the circle on a table of figures: error before, missing effect, error after and on rows left out.
 
@@ -35,7 +35,6 @@ def tables(
     """
     drawn = parse_seed(seed) or 0
     out, folder = output_for(json_to), report_folder(report)
-    check_not_input(json_to, readings)
 
     from fiohost.labs.tables import tables as run
 

@@ -1,0 +1,85 @@
+"""The last line of a log: how many rows it has and what its bytes add up to; and whether a file still fits it.
+
+``# end: rows=1514 crc32_head=0f3a91c2 crc32_rows=77d0b1e4``: head are all bytes before the first row, rows all bytes
+from there to this line. A log that was cut off has no such line, one that was altered does not fit it.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import dataclass
+
+PREFIX = "# end: "
+_END = re.compile(rb"# end: rows=(\d{1,12}) crc32_head=([0-9a-f]{8}) crc32_rows=([0-9a-f]{8})\n?")
+WHOLE, CUT_OFF, ALTERED, UNKNOWN = "whole", "cut off", "altered", "unknown"
+
+
+def end_line(rows: int, head_crc: int, rows_crc: int) -> str:
+    return f"{PREFIX}rows={rows} crc32_head={head_crc:08x} crc32_rows={rows_crc:08x}\n"
+
+
+def ended(text: str) -> str:
+    """The text of a log, with its last line."""
+    head, rows = _parts(text.encode())
+    return text + end_line(rows.count(b"\n"), zlib.crc32(head), zlib.crc32(rows))
+
+
+@dataclass(frozen=True)
+class Integrity:
+    """What became of a log's bytes: its state, the rows that are there, those that should be (None: nobody knows), and
+    sentences on what is wrong.
+    """
+
+    state: str
+    rows: int
+    rows_written: int | None
+    notes: tuple[str, ...]
+
+
+def judge(data: bytes) -> Integrity:
+    """Hold the bytes of a log against its last line."""
+    body, _, last = data.removesuffix(b"\n").rpartition(b"\n")
+    found = _END.fullmatch(last)
+    if found is None:
+        return _without_end(data)
+    head, rows = _parts(body + b"\n")
+    there, written = rows.count(b"\n"), int(found[1])
+    notes = []
+    if there != written:
+        what = f"{written - there} rows are missing" if there < written else f"{there - written} rows were added"
+        notes.append(f"{what}: {there} are there, {written} were written")
+    if zlib.crc32(rows) != int(found[3], 16):
+        notes.append("the rows are not those that were written")
+    if zlib.crc32(head) != int(found[2], 16):
+        notes.append("the head is not the one that was written")
+    return Integrity(ALTERED if notes else WHOLE, there, written, tuple(notes))
+
+
+def _without_end(data: bytes) -> Integrity:
+    head, rows = _parts(data)
+    whole = rows.count(b"\n")
+    notes = []
+    if rows and not rows.endswith(b"\n"):
+        notes.append("the last line is cut off in its middle")
+    if b"\n# host_version:" not in head and b"# host_version:" not in head[:15]:
+        notes.append("it has no last line with row count and check sum: another program made it")
+        return Integrity(UNKNOWN, whole, None, tuple(notes))
+    if b"\n# ending: unfinished" in head:
+        notes.append("the host did not close it: it was killed, or its computer died")
+    else:
+        notes.append("its last line with row count and check sum is missing: the end of the file is lost")
+    return Integrity(CUT_OFF, whole, None, tuple(notes))
+
+
+def _parts(data: bytes) -> tuple[bytes, bytes]:
+    """Head (metadata and column names) and rows."""
+    at = 0
+    while data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at):
+        end = data.find(b"\n", at)
+        if end < 0:
+            return data, b""
+        at = end + 1
+    end = data.find(b"\n", at)
+    at = len(data) if end < 0 else end + 1
+    return data[:at], data[at:]
