@@ -22,7 +22,8 @@ def drawn(
     n = window * WINDOWS
     times, moving = np.arange(n) * step_s, np.ones(window, dtype=bool)
     acts = covariance.response(times[:window], moving, motor.gain, motor.tau_s, motor.kind)
-    torque = draw_torque(times, torque_pct, torque_s, rng).reshape(WINDOWS, window)
+    known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(torque_pct, 0.0, 0.0), Ranged(torque_s, 0.0, 0.0))
+    torque = draw_torque(times, known, rng).reshape(WINDOWS, window)
     speed = np.repeat(rng.uniform(150.0, 700.0, WINDOWS), window)
     if motor.kind == covariance.ANGLE:
         true = np.cumsum(speed) * step_s
@@ -62,7 +63,7 @@ def test_intervals_of_the_noise_hold_the_truth_on_nine_sets_of_ten() -> None:
     for kind, quantum, sensor, torque_pct in CASES * 5:
         torque_s = float(rng.choice((0.1, 0.5)))
         motor = drawn_motor(rng, kind, quantum)
-        found = estimate(grouped(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor)), motor)
+        found = estimate(grouped(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor), motor))
         told = {"sensor": (found.sensor, sensor), "torque": (found.torque_pct, torque_pct)}
         told |= {"time": (found.torque_s, torque_s)} if torque_pct else {}
         for name, (ranged, truth) in told.items():
@@ -77,7 +78,7 @@ def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
     rng = np.random.default_rng(1)
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S)
     for torque_pct, torque_s in ((0.5, 0.1), (1.0, 0.5)):
-        found = estimate(grouped(pieces(*drawn(rng, motor, 0.104, torque_pct, torque_s), motor)), motor)
+        found = estimate(grouped(pieces(*drawn(rng, motor, 0.104, torque_pct, torque_s), motor), motor))
         assert found.torque_known
         assert found.torque_pct.value == pytest.approx(torque_pct, rel=0.15)
         assert found.sensor.value == pytest.approx(0.104, abs=0.02)
@@ -86,8 +87,8 @@ def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
 def test_declared_sensor_noise_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(2)
     motor = drawn_motor(rng, covariance.ANGLE, 0.5)
-    parts = grouped(pieces(*drawn(rng, motor, 0.5, 0.0, 0.1), motor))
-    assert estimate(parts, motor, sensor=0.3).sensor == Ranged(0.3, 0.3, 0.3)
+    parts = grouped(pieces(*drawn(rng, motor, 0.5, 0.0, 0.1), motor), motor)
+    assert estimate(parts, sensor=0.3).sensor == Ranged(0.3, 0.3, 0.3)
 
 
 def test_nothing_is_estimated_where_nothing_moves() -> None:
@@ -95,7 +96,7 @@ def test_nothing_is_estimated_where_nothing_moves() -> None:
     still = np.zeros(WINDOW * 3)
     found = pieces(still, still, np.arange(0, 3 * WINDOW + 1, WINDOW), motor)
     assert found == []
-    assert estimate(grouped(found), motor).samples == 0
+    assert estimate(grouped(found, motor)).samples == 0
 
 
 def test_whitened_windows_are_white_and_of_unit_variance() -> None:
@@ -121,7 +122,9 @@ def test_a_window_s_own_start_leaves_nothing_whitened() -> None:
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.0, STEP_S)
     known = Noise(Ranged(0.1, 0.1, 0.1), Ranged(1.0, 1.0, 1.0), Ranged(0.2, 0.2, 0.2))
     times = np.arange(WINDOW) * STEP_S
-    moving = np.arange(WINDOW) < 120
+    moving = np.where(
+        np.arange(WINDOW) < 120, covariance.DRIVEN, np.where(np.arange(WINDOW) < 160, covariance.COASTS, 0)
+    )
     whitener = Whitener.of(times, moving, np.array([0]), np.array([WINDOW]), motor, known)
     own = covariance.starts(times, moving, motor.tau_s, motor.kind) @ np.array([3.0, 40.0])
     assert np.abs(whitener.apply(own)).max() < 1e-6 * np.abs(own).max() / 0.1

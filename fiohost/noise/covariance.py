@@ -1,8 +1,8 @@
 """Covariances of what a random torque does to the output of a first-order motor, exactly at the sample times.
 
 The motor is ``tau w' + w = K d``; the torque d, in percent of duty, is held from sample to sample and is an
-Ornstein-Uhlenbeck process of standard deviation sigma_p and correlation time tau_d (Uhlenbeck and Ornstein 1930). While
-the shaft stands, a torque does nothing and what it did to the speed is gone.
+Ornstein-Uhlenbeck process of standard deviation sigma_p and correlation time tau_d (Uhlenbeck and Ornstein 1930).
+While the shaft stands, a torque does nothing and what it did to the speed is gone.
 """
 
 from __future__ import annotations
@@ -10,25 +10,46 @@ from __future__ import annotations
 import numpy as np
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
+REST, DRIVEN, COASTS = 0, 1, 2
+# A shaft that coasts has no back-emf to brake it: so many times the lag, and the gain with it.
+OPEN = 1e3
 
 
 def response(times_s: np.ndarray, moving: np.ndarray, gain: float, tau_s: float, kind: int) -> np.ndarray:
     """Output (n, n) at each time, in its unit, of a torque of 1 % from each sample to the next.
 
-    ``times_s`` (n); ``moving`` (n) says whether the shaft moves from this sample to the next; ``gain`` in the output's
-    unit per second and percent, or per percent of a speed; ``kind`` of output: angle, speed or mean speed.
+    ``times_s`` (n); ``moving`` (n) says how the shaft moves from this sample to the next: at rest, driven or coasting;
+    ``gain`` in the output's unit per second and percent, or per percent of a speed; ``kind`` of output: angle, speed or
+    mean speed.
     """
     n = len(times_s)
     speed, angle = np.zeros((n, n)), np.zeros((n, n))
     for k, step in enumerate(np.diff(times_s)):
-        stays = np.exp(-step / tau_s)
         angle[k + 1] = angle[k]
-        if moving[k]:
-            angle[k + 1] += tau_s * (1.0 - stays) * speed[k]
-            speed[k + 1] = stays * speed[k]
-            angle[k + 1, k] += gain * (step - tau_s * (1.0 - stays))
-            speed[k + 1, k] += gain * (1.0 - stays)
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s
+            angle[k + 1] += goes * speed[k]
+            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+            angle[k + 1, k] += full * (step - goes)
+            speed[k + 1, k] += full * goes / lag
     return _seen(times_s, angle, speed, kind)
+
+
+def driven_output(
+    times_s: np.ndarray, moving: np.ndarray, torque_pct: np.ndarray, gain: float, tau_s: float, kind: int
+) -> np.ndarray:
+    """Output (n) that a torque (n) makes, as ``response`` has it, along a whole run."""
+    n = len(times_s)
+    speed, angle = np.zeros((n, 1)), np.zeros((n, 1))
+    for k, step in enumerate(np.diff(times_s).tolist()):
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s * torque_pct[k]
+            angle[k + 1] += goes * speed[k] + full * (step - goes)
+            speed[k + 1] = (1.0 - goes / lag) * speed[k] + full * goes / lag
+    return _seen(times_s, angle, speed, kind)[:, 0]
 
 
 def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> np.ndarray:
@@ -36,9 +57,12 @@ def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> 
     speed, angle = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
     speed[0] = 1.0
     for k, step in enumerate(np.diff(times_s)):
-        stays = np.exp(-step / tau_s)
-        angle[k + 1] = angle[k] + (tau_s * (1.0 - stays) * speed[k] if moving[k] else 0.0)
-        speed[k + 1] = stays * speed[k] if moving[k] else 0.0
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes = -lag * np.expm1(-step / lag)
+            angle[k + 1] += goes * speed[k]
+            speed[k + 1] = (1.0 - goes / lag) * speed[k]
     by_speed = _seen(times_s, angle, speed, kind)
     if kind == MEAN_SPEED:  # the first was measured before the window began
         return np.column_stack((by_speed, np.arange(len(times_s)) == 0))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiohost.noise.estimate import Noise
 
-def draw_torque(times_s: np.ndarray, torque_pct: float, time_s: float, rng: np.random.Generator) -> np.ndarray:
+
+def draw_torque(times_s: np.ndarray, noise: Noise, rng: np.random.Generator) -> np.ndarray:
     """A random torque (n) in percent of duty at the times: exact steps of an Ornstein-Uhlenbeck process (Gillespie
     1996).
     """
+    torque_pct, time_s = noise.torque_pct.value, noise.torque_s.value
     if torque_pct <= 0.0 or time_s <= 0.0:
         return np.zeros(len(times_s))
     stays = np.exp(-np.diff(times_s) / time_s)

@@ -63,9 +63,10 @@ class Motor:
 
 @dataclass(frozen=True)
 class Group:
-    """Pieces of one length: what a model leaves of each (n, pieces), in the output's unit."""
+    """Pieces of one length and motor: what a model leaves of each (n, pieces), in the output's unit."""
 
     residuals: np.ndarray = field(repr=False)
+    motor: Motor
 
 
 def pieces(
@@ -78,11 +79,13 @@ def pieces(
     """Pieces of steady motion, of one of the settled lengths each.
 
     ``residual`` (n) is what windows with free angle and speed leave, ``speed`` (n) the model's in the output's unit per
-    second, ``edges`` (m + 1) those of the windows. Where the model stands, turns or creeps below the speed at which
-    counts err at random there is no piece.
+    second, ``edges`` (m + 1) those of the windows. Where the model stands, turns or creeps there is no piece: counts do
+    not err at random there, and the shaft may have turned while the model did not.
     """
     lengths = sorted({max(round(s / motor.step_s), settings.shortest_samples) for s in settings.lengths_s})
-    slowest = settings.slowest_counts * (motor.quantum / motor.step_s if motor.kind == covariance.ANGLE else 0.0)
+    slowest = settings.slowest_share * float(np.max(np.abs(speed), initial=0.0))
+    if motor.kind == covariance.ANGLE:
+        slowest = max(slowest, settings.slowest_counts * motor.quantum / motor.step_s)
     way = np.sign(speed) * (np.abs(speed) > slowest)
     found = []
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -95,10 +98,18 @@ def pieces(
     return found
 
 
-def grouped(parts: Sequence[np.ndarray]) -> list[Group]:
-    """Pieces by their lengths."""
+def grouped(parts: Sequence[np.ndarray], motor: Motor) -> list[Group]:
+    """Pieces of one motor by their lengths."""
     lengths = sorted({len(p) for p in parts})
-    return [Group(np.column_stack([p for p in parts if len(p) == n])) for n in lengths]
+    return [Group(np.column_stack([p for p in parts if len(p) == n]), motor) for n in lengths]
+
+
+def _merged(groups: Sequence[Group]) -> list[Group]:
+    """Groups of one length and motor as one."""
+    alike: dict[tuple[int, Motor], list[np.ndarray]] = {}
+    for group in groups:
+        alike.setdefault((len(group.residuals), group.motor), []).append(group.residuals)
+    return [Group(np.column_stack(parts), motor) for (_, motor), parts in alike.items()]
 
 
 @lru_cache(maxsize=256)
@@ -106,7 +117,7 @@ def _torque_part(n: int, motor: Motor, time_s: float) -> tuple[np.ndarray, np.nd
     """Of pieces of n samples: the basis (n, m) outside their starts, in which the torque's covariance is diagonal, that
     diagonal (m) for 1 %, and the counts' covariance (m, m) in it.
     """
-    times, moving = np.arange(n) * motor.step_s, np.ones(n, dtype=bool)
+    times, moving = np.arange(n) * motor.step_s, np.full(n, covariance.DRIVEN)
     free = covariance.outside(covariance.starts(times, moving, motor.tau_s, motor.kind))
     acts = free.T @ covariance.response(times, moving, motor.gain, motor.tau_s, motor.kind)
     values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)
@@ -127,8 +138,8 @@ class _Diagonal:
     fixed: float
 
 
-def _diagonal(group: Group, motor: Motor, time_s: float, sensor: float) -> _Diagonal:
-    n, count = group.residuals.shape
+def _diagonal(group: Group, time_s: float, sensor: float) -> _Diagonal:
+    (n, count), motor = group.residuals.shape, group.motor
     basis, torque, counted = _torque_part(n, motor, time_s)
     left = basis.T @ group.residuals
     if motor.kind != covariance.MEAN_SPEED:
@@ -143,15 +154,13 @@ def _diagonal(group: Group, motor: Motor, time_s: float, sensor: float) -> _Diag
     return _Diagonal(np.ones(len(torque)), np.maximum(values, 0.0), squares, count, fixed)
 
 
-def _deviances(
-    groups: Sequence[Group], motor: Motor, times_s: np.ndarray, sensors: np.ndarray, torques: np.ndarray
-) -> np.ndarray:
+def _deviances(groups: Sequence[Group], times_s: np.ndarray, sensors: np.ndarray, torques: np.ndarray) -> np.ndarray:
     """-2 log likelihood (times, sensors, torques), but for a constant."""
     found = np.zeros((len(times_s), len(sensors), len(torques)))
     for i, time_s in enumerate(times_s):
         for j, sensor in enumerate(sensors):
             for group in groups:
-                d = _diagonal(group, motor, float(time_s), float(sensor))
+                d = _diagonal(group, float(time_s), float(sensor))
                 variance = d.own[None, :] + torques[:, None] ** 2 * d.torque[None, :]
                 found[i, j] += d.fixed + np.sum(d.count * np.log(variance) + d.squares / variance, axis=1)
     return found
@@ -159,12 +168,12 @@ def _deviances(
 
 def estimate(
     groups: Sequence[Group],
-    motor: Motor,
     *,
     sensor: float | None = None,
     settings: NoiseSettings = SETTINGS,
 ) -> Noise:
     """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
+    groups = _merged(groups)
     samples = sum(g.residuals.size for g in groups)
     if samples == 0:
         return NONE if sensor is None else Noise(Ranged(sensor, sensor, sensor), NONE.torque_pct, NONE.torque_s)
@@ -176,10 +185,10 @@ def estimate(
     axes = [times, sensors, torques]
     # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
     for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
-        deviances = _deviances(groups, motor, *axes)
+        deviances = _deviances(groups, *axes)
         for i in closer:
             axes[i] = _closer(axes[i], _profile(deviances, i), settings)
-    deviances = _deviances(groups, motor, *axes)
+    deviances = _deviances(groups, *axes)
     best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
     ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
     time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)

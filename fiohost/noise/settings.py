@@ -15,6 +15,8 @@ class NoiseSettings:
     shortest_samples: int = 8
     # Below this speed in counts a sample the counts' error is a sawtooth and not white (Widrow and Kollar 2008, 19).
     slowest_counts: float = 0.5
+    # Below this share of the top speed a torque of some percent may turn the shaft, and dry friction with it.
+    slowest_share: float = 0.15
     # From a torque that is white at the sample time to one that is constant within a window.
     times_s: tuple[float, float] = (0.01, 3.0)
     time_looks: int = 9

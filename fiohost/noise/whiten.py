@@ -14,10 +14,13 @@ from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 @dataclass(frozen=True)
 class _Alike:
-    """Windows of one covariance: their first samples (m), and what whitens a window (n, n)."""
+    """Windows of one covariance: their first samples (m), what whitens a window (n, n), and the logarithm of the
+    covariance's determinant outside what its start can take.
+    """
 
     firsts: np.ndarray
     whitens: np.ndarray = field(repr=False)
+    log_determinant: float
 
 
 class Whitener:
@@ -27,13 +30,14 @@ class Whitener:
 
     def __init__(self, alike: Sequence[_Alike]) -> None:
         self._alike = alike
+        self.log_determinant = sum(len(part.firsts) * part.log_determinant for part in alike)
 
     @classmethod
     def of(
         cls, times_s: np.ndarray, moving: np.ndarray, firsts: np.ndarray, lasts: np.ndarray, motor: Motor, noise: Noise
     ) -> Whitener:
-        """For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n); ``moving`` (n) says whether the
-        shaft moves from a sample to the next.
+        """For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n); ``moving`` (n) says how the shaft
+        moves from a sample to the next.
         """
         places: dict[bytes, list[int]] = {}
         spans: dict[bytes, int] = {}
@@ -45,7 +49,7 @@ class Whitener:
         alike = []
         for key, found in places.items():
             a, b = found[-1], spans[key]
-            alike.append(_Alike(np.array(found), _whitening(times_s[a:b], moving[a:b], motor, noise)))
+            alike.append(_Alike(np.array(found), *_whitening(times_s[a:b], moving[a:b], motor, noise)))
         return cls(alike)
 
     def apply(self, series: np.ndarray) -> np.ndarray:
@@ -59,18 +63,23 @@ class Whitener:
         return out
 
 
-def _whitening(times_s: np.ndarray, moving: np.ndarray, motor: Motor, noise: Noise) -> np.ndarray:
+def _whitening(times_s: np.ndarray, moving: np.ndarray, motor: Motor, noise: Noise) -> tuple[np.ndarray, float]:
     n = len(times_s)
     if n < 3:
-        return np.zeros((n, n))  # its own start takes all of it
+        return np.zeros((n, n)), 0.0  # its own start takes all of it
     own = covariance.counts(n, motor.quantum, motor.kind) + noise.sensor.value**2 * np.eye(n)
     if noise.torque_pct.value > 0.0 and moving.any():
         acts = covariance.response(times_s, moving, motor.gain, motor.tau_s, motor.kind) * noise.torque_pct.value
         own = own + acts @ covariance.torque(times_s, noise.torque_s.value) @ acts.T
     own[np.diag_indices(n)] += 1e-9 * float(np.trace(own)) / n + 1e-300
-    inverse = np.linalg.inv(np.linalg.cholesky(own))
-    columns, _ = np.linalg.qr(inverse @ covariance.starts(times_s, moving, motor.tau_s, motor.kind))
-    return np.asarray(inverse - columns @ (columns.T @ inverse))
+    root = np.linalg.cholesky(own)
+    inverse = np.linalg.inv(root)
+    starts = covariance.starts(times_s, moving, motor.tau_s, motor.kind)
+    columns, triangle = np.linalg.qr(inverse @ starts)
+    sizes = np.abs(np.diag(triangle)) / np.maximum(np.abs(np.diag(np.linalg.qr(starts)[1])), 1e-300)
+    taken = 2.0 * float(np.log(np.maximum(sizes, 1e-300)).sum())  # restricted likelihood (Harville 1974)
+    determinant = 2.0 * float(np.log(np.diag(root)).sum()) + taken
+    return np.asarray(inverse - columns @ (columns.T @ inverse)), determinant
 
 
 def unevenness(
