@@ -3,6 +3,7 @@
     python benchmarks/worlds.py --out results.jsonl                    the whole plan, days; resumes where it stopped
     python benchmarks/worlds.py --small --minutes 15 --out results.jsonl   short runs, a few cases a world, in minutes
     python benchmarks/worlds.py --world "sensor 1 count" ...              some of the worlds
+    python benchmarks/worlds.py --oracle results.jsonl                 adds to rows what the true structure would gain
     python benchmarks/worlds.py --table results.jsonl [--page docs/worlds.md]
 
 Plants, effects, sizes and noise are drawn; the seed is fresh from the system unless ``--seed`` is given, and recorded.
@@ -15,6 +16,7 @@ import json
 import random
 import secrets
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -27,7 +29,7 @@ from discovery_cases import EFFECTS
 from discovery_run import Row
 from rows import filled, programs, read
 from worlds_logs import WORLDS
-from worlds_run import WorldTask, drawable, right, rightly_judged, run_world
+from worlds_run import WorldTask, ask_oracle, drawable, right, rightly_judged, run_world
 
 Test = Callable[[Row], bool]
 # Interval coverage counts parameters whose truth is a plain number.
@@ -154,9 +156,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"))
+    parser.add_argument("--oracle", type=Path, help="rows with an effect that no oracle was asked about are")
     parser.add_argument("--table", type=Path)
     parser.add_argument("--page", type=Path)
     options = parser.parse_args()
+    if options.oracle:
+        rows = read(options.oracle)
+        over = time.monotonic() + 60.0 * options.minutes
+        for i, row in enumerate(rows):
+            if row.get("drawn") and row["truth"] and "oracle" not in row and time.monotonic() < over:
+                rows[i] = ask_oracle(row)
+                print(summary(rows[i]), flush=True)
+                options.oracle.write_text("".join(json.dumps(r, default=str) + "\n" for r in rows), encoding="utf-8")
+        return
     if options.table:
         rows = read(options.table)
         if options.page:

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from discovery_cases import Case
 from discovery_run import CLEAR, DECLARED, SHORT_TRIES, TRIES, Row, clarity, fitted, held_out, same
 from worlds_logs import BY_NAME, CLOCKED, run
 
@@ -77,6 +78,43 @@ def run_world(task: WorldTask) -> Row:
         "seconds": seconds,
         "cpu_s": cpu,
     }  # fmt: skip
+
+
+def oracle(case: Case, train: list[Any]) -> dict[str, float]:
+    """By how much the true structure's deviance is below the declared model's, each with the noise that it leaves, and
+    what chance reaches beside the noise of the truth.
+    """
+    import numpy as np
+
+    from fiohost.discover.likelihood import Selection
+    from fiohost.discover.whitened import plain, settle, with_noise
+    from fiohost.estimation.fit import fit_from_scratch
+    from fiohost.estimation.record import record_from_log
+    from fiohost.motor.model import Model
+
+    chosen = Selection([record_from_log(log) for log in train], np.random.default_rng(0), None, lambda text: None)
+    base = fit_from_scratch(Model.parse(DECLARED), chosen.records)
+    without = settle(base.model, chosen.records, base.starts)
+    model = Model.parse(DECLARED).with_values({k: v for k, v in base.model.values.items()})
+    for name in case.truth:
+        model = model.with_effect(name, case.reduced[name])
+    linear = {f"linear.{k}": v for k, v in case.reduced["linear"].items()}
+    friction = case.reduced.get("coulomb_friction", {})
+    kept = {f"coulomb_friction.{k}": v for k, v in friction.items() if "coulomb_friction" in model.effects}
+    true = settle(model.with_values({**linear, **kept}), chosen.records, None, without.moving)
+    records = with_noise(plain(chosen.records), without.fit.model, true.noise, without.moving)
+    chance = chosen.chance(chosen.under(without.fit, records), records)
+    return {"gain": without.deviance - true.deviance, "chance": chance.level}
+
+
+def ask_oracle(row: Row) -> Row:
+    """A row with what the oracle says of its case."""
+    from threadpoolctl import threadpool_limits
+
+    short = str(row["key"]).endswith(" short")
+    case, logs = run(BY_NAME[row["world"]], row["seed"], row["truth"], [*fitted(short), *held_out(row["seed"], short)])
+    with threadpool_limits(limits=1, user_api="blas"):
+        return {**row, "oracle": oracle(case, logs[: len(fitted(short))])}
 
 
 def right(row: Row) -> bool:

@@ -12,10 +12,11 @@ from short_runs import logs_of, multisine, plant_file, random_steps, staircase
 
 from fiohost.bench.log import Log
 from fiohost.circle.evidence import diagnose
-from fiohost.discover.degenerate import degenerate
+from fiohost.discover.degenerate import believed, degenerate
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.discover.stage import Stage
+from fiohost.discover.step import Found
 from fiohost.report.words import verdict_sentence
 
 STALL_NM = 0.34 * 9.0 / 5.5  # of plant_file's motor
@@ -123,13 +124,13 @@ def test_an_error_that_is_no_lower_is_not_believed(stages: tuple[Stage, Stage]) 
     assert "no lower" in str(degenerate(after, after))
 
 
-def test_what_the_logs_cannot_show_is_never_named(tmp_path: Path) -> None:
-    plant = plant_file(tmp_path, effects={"backlash": {"gap_rad": 0.05, "side": "encoder_after_gap"}})
-    forward = replace(
-        staircase(1.0), command=(replace(staircase(1.0).command[0], levels=(8.0, 30.0, 80.0, 15.0, 50.0)),)
-    )
-    forward = replace(forward, command=(replace(forward.command[0], duration_s=5.0),))
-    found = diagnose(logs_of(f"sim:{plant}", tmp_path, [forward]), (), "linear+coulomb_friction", library=LIBRARY)
-    assert "backlash" not in [s.effect for s in found.steps]
-    why = {c.effect: str(c.rejected_because) for c in found.candidates}
-    assert "cannot show" in why["backlash"]
+def test_what_the_logs_cannot_show_is_not_named_where_it_leaves_something(tmp_path: Path) -> None:
+    plant = plant_file(tmp_path, effects={"constant_load": {"torque_Nm": 0.02 * STALL_NM}})
+    found = diagnose(logs_of(f"sim:{plant}", tmp_path, RUNS), (), "linear+coulomb_friction", library=("constant_load",))
+    final, hidden = found.final, {"constant_load": "one direction only"}
+    sound = Found((found.declared, final), found.steps, ())
+    assert believed(sound, hidden).steps == found.steps  # it leaves nothing
+    left = tuple(replace(e, value=2.0 * e.allowed) for e in final.excesses)
+    doubted = believed(replace(sound, stages=(found.declared, replace(final, excesses=left))), hidden)
+    assert doubted.steps == ()
+    assert "cannot show" in str(doubted.offered[0].rejected_because)

@@ -115,3 +115,11 @@ def test_true_stamps_are_used_as_they_are() -> None:
     found = fit(MODEL.with_values({"coulomb_friction.level_pct": 1.0}), [record])
     assert abs(found.model.number("coulomb_friction.level_pct") - 2.0) < 0.01
     assert found.rms < 0.16
+
+
+def test_a_step_that_nobody_says_is_found_and_declared_noise_is_kept() -> None:
+    columns = logged(np.arange(4000) * STEP_S, noisy_duty(4000, 1))
+    record = record_from_log(Log.from_columns(columns, {"sample_time_s": f"{STEP_S}", "output_noise_rms": "0.3"}))
+    assert record.quantum_found
+    assert record.quantum == 0.5
+    assert record.noise_rms == 0.3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fiohost.discover.metrics import pool
@@ -54,11 +54,16 @@ def _width(value: Estimate) -> float:
     return value.ci95[1] - value.ci95[0]
 
 
-def believed(found: Found) -> Found:
-    """The outcome of a search, or that of the declared model alone where its fit with effects is degenerate."""
+def believed(found: Found, hidden: Mapping[str, str]) -> Found:
+    """The outcome of a search, or that of the declared model alone where its fit with effects is degenerate, or leaves
+    something with an effect that the logs cannot show; ``hidden`` says why they cannot.
+    """
     if not found.steps:
         return found
     why = degenerate(found.stages[0], found.final)
+    unseen = [hidden[s.effect] for s in found.steps if s.effect in hidden]
+    if why is None and unseen and not found.final.follows:
+        why = f"these logs cannot show it: {unseen[0]}"
     if why is None:
         return found
     back = _taken_back(found, why)

@@ -30,7 +30,6 @@ from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, pwm_of, with_bench_zero
-from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 
@@ -141,14 +140,11 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    shown = [n for n in (effects() if library is None else library) if n not in hidden] if hidden else library
-    found = believed(searched(train, model, shown, from_file, rng, say))
+    found = believed(searched(train, model, library, from_file, rng, say, hidden), hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
-    unseen = [Candidate(n, 0.0, f"these logs cannot show it: {why}") for n, why in hidden.items()]
-    declared, steps, stage = found.stages[0], found.steps, found.final
-    offered = [*found.offered, *(c for c in unseen if library is None or c.effect in library)]
+    declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.final
     if found.noise:
         train, holdout = drawing(train, found.noise), drawing(holdout, found.noise)
     say("judging held-out logs") if holdout else None

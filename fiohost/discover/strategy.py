@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from fiohost.discover.round import Progress
 from fiohost.discover.search import SHOWS, Search, declared_alone, eased, only_commonest, select
 from fiohost.discover.step import Found
 from fiohost.estimation.record import Record
+from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
 # One search is preferred to another where it comes so much closer.
@@ -34,10 +35,12 @@ def searched(
     from_file: bool,
     rng: np.random.Generator,
     say: Progress,
+    hidden: Mapping[str, str],
 ) -> Found:
     """The search by whole runs, where counts are all that is left of a true model; where these stay unexplained, by
     windows, and by whole runs again from there; where that does not explain all either, or the sensor is noisy or
-    commands are missing, by the deviance of windows under the noise that is left.
+    commands are missing, by the deviance of windows under the noise that is left, without what is ``hidden`` from the
+    logs.
 
     Names from windows as they are count only once whole runs can be followed with them: such windows also like what
     just lets a shaft coast whose speed wanders. With few experiments they come first: their whole runs have too many
@@ -50,8 +53,8 @@ def searched(
 
     def by_noise() -> Found:
         say("by the noise that is left")
-        own = np.random.default_rng(NOISE_SEED)
-        return select_by_deviance(Selection(train, own, library, say), alone.final.fit)
+        shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        return select_by_deviance(Selection(train, np.random.default_rng(NOISE_SEED), shown, say), alone.final.fit)
 
     if any(r.broken for r in train) or _noisy_sensor(train):
         return by_noise()

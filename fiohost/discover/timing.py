@@ -33,6 +33,14 @@ def missing_ticks(case: Case) -> Iterator[Finding]:
     yield case.finding("missing_ticks", bool(case.said.ambiguous or np.any(unknown > 0.5)), rows, advice)
 
 
+def found_step(case: Case) -> Iterator[Finding]:
+    """The sensor's step where nobody said it and the readings show it."""
+    if case.record.quantum_found:
+        step = f"{case.record.quantum:.6g} {case.record.unit}"
+        advice = f"all readings differ by multiples of {step}, which is taken for the sensor's step"
+        yield case.finding("quantum_found", False, np.empty(0, dtype=np.int64), advice)
+
+
 def doubtful_rows(case: Case) -> Iterator[Finding]:
     """Single rows whose direction bits contradict all around them."""
     rows = np.array(case.record.doubtful, dtype=np.int64)

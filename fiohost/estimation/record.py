@@ -12,6 +12,7 @@ from fiohost.errors import DataError
 from fiohost.estimation.stamps import doubtful_modes, known_segments, true_times
 from fiohost.motor.model import MM_PER_M
 from fiohost.motor.simulate import Excitation
+from fiohost.noise.quantum import found_quantum
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
@@ -39,7 +40,8 @@ class Record:
     ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at. ``segments`` (n)
     number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
     ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
-    clock. With a ``disturbance`` windows are whitened, and bootstrap samples are drawn with it.
+    clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared. With a
+    ``disturbance`` windows are whitened, and bootstrap samples are drawn with it.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Record:
     segments: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     doubtful: tuple[int, ...] = ()
     regular: bool = False
+    quantum_found: bool = False
     noise_rms: float | None = None
     disturbance: Disturbance | None = None
 
@@ -199,7 +202,8 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
 
     Known are the delay until a command acts and the steps of the target's timer; neither is ever a missing effect.
     Metres become millimetres. Stamps that the readings contradict are taken for those of a regular clock, a single row
-    whose direction bits contradict all around it is set aside, and windows begin anew after missing ticks.
+    whose direction bits contradict all around it is set aside, windows begin anew after missing ticks, and a sensor's
+    step that nobody says is looked for in its readings.
     """
     output = log.output_name
     kind = ANGLE if output in ("angle_deg", "position_m") else SPEED
@@ -211,6 +215,8 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
     times = true_times(log.time_s, y, step_s) if kind == ANGLE else log.time_s
     mode, doubtful = doubtful_modes(log.mode, duty)
     delay_s = log.command_delay_ticks * step_s
+    quantum = log.output_quantum * scale or found_quantum(y)
+    noise = log.output_noise_rms
     record = make_record(
         name or (log.path.name if log.path else "log"),
         times,
@@ -219,7 +225,7 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         mode=mode,
         kind=kind,
         unit=HELD_IN.get(log.output_unit, log.output_unit),
-        quantum=log.output_quantum * scale,
+        quantum=quantum,
         sample_time_s=step_s,
         command_delay_s=delay_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
@@ -228,8 +234,14 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         at_rest=None if log.begins_at_rest and (len(y) < 2 or y[0] != y[1]) else log.begins_at_rest,
         segments=known_segments(times, duty, mode, doubtful, step_s, delay_s),
     )
-    return replace(record, pwm_hz=log.pwm_hz, doubtful=doubtful, regular=times is not log.time_s)
-
+    return replace(
+        record,
+        pwm_hz=log.pwm_hz,
+        doubtful=doubtful,
+        regular=times is not log.time_s,
+        quantum_found=quantum > 0.0 and log.output_quantum <= 0.0,
+        noise_rms=None if noise is None else noise * scale,
+    )
 
 
 def pwm_of(records: Sequence[Record]) -> float:
