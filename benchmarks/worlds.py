@@ -32,6 +32,8 @@ from worlds_logs import WORLDS
 from worlds_run import WorldTask, ask_oracle, drawable, right, rightly_judged, run_world
 
 Test = Callable[[Row], bool]
+# Rows of the same plan by the program that judged by counts alone.
+BEFORE = Path(__file__).parent / "results" / "worlds_before.jsonl"
 # Interval coverage counts parameters whose truth is a plain number.
 NOT_COUNTED = (".order", ".levels", "phase_deg", "time_s", ".side", ".which")
 
@@ -142,7 +144,17 @@ def page(rows: Sequence[Row]) -> str:
     seeds = ", ".join(str(r["plan"]) for r in rows if "plan" in r)
     cases = [r for r in rows if "key" in r]
     template = Path(__file__).with_name("worlds.template.md")
-    return filled(template, table=table(cases), seeds=seeds, count=str(len(cases)), programs=programs(cases))
+    before = [r for r in read(BEFORE) if "key" in r]
+    return filled(
+        template,
+        table=table(cases),
+        seeds=seeds,
+        count=str(len(cases)),
+        programs=programs(cases),
+        before=table(before),
+        before_count=str(len(before)),
+        before_programs=programs(before),
+    )
 
 
 def main() -> None:

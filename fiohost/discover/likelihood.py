@@ -121,7 +121,9 @@ class Selection:
         screen = Screen(fitted, records)
         scores = self.scores(screen, fitted, records)
         directions = [d for s in scores for d in s.directions]
-        basis = np.concatenate([d.basis for d in directions], axis=1)
+        basis = np.concatenate(
+            [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)], axis=1
+        )
         ends = np.cumsum([d.basis.shape[1] for d in directions])
         edges = [r.windows for r in records]
         # The screen takes samples together: its powers are by so much below deviances.
@@ -130,8 +132,9 @@ class Selection:
         def draw(rng: np.random.Generator) -> tuple[float, float]:
             errors = replica_errors(fitted, records, rng, anywhere=True)
             along = screen.clean(errors).astype(np.float32) @ basis
-            parts = zip(np.split(along[None, :], ends[:-1], axis=1), directions, strict=True)
-            return block * float(max(powers(p, d.weights)[0] for p, d in parts)), unevenness(errors, edges)
+            parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
+            most = max((float(powers(p, d.weights)[0]) for p, d in parts), default=0.0)
+            return block * most, unevenness(errors, edges)
 
         drawn = each(draw, self.rng.spawn(self.settings.draws))
         best = np.array([gain for gain, _ in drawn])
