@@ -17,10 +17,11 @@ import random
 import secrets
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -48,7 +49,14 @@ def plan(counts: dict[str, int], rng: random.Random) -> list[Task]:
     return tasks
 
 
-def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iterator[Row]:
+def run(
+    tasks: Sequence[Any],
+    jobs: int,
+    minutes: float = float("inf"),
+    *,
+    work: Callable[[Any], Row] = run_task,
+    told: Callable[[Row], str] = summary,
+) -> Iterator[Row]:
     """Rows as they are done, until all are or time is up; told in a line each, on a terminal under a bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -60,7 +68,7 @@ def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iter
         queue = iter(tasks)
         while True:
             while len(waiting) < 2 * jobs and time.monotonic() < over and (task := next(queue, None)):
-                waiting[pool.submit(run_task, task)] = task
+                waiting[pool.submit(work, task)] = task
             if not waiting:
                 break
             finished = next(as_completed(waiting))
@@ -70,7 +78,7 @@ def run(tasks: Sequence[Task], jobs: int, minutes: float = float("inf")) -> Iter
             except Exception as exc:
                 row = {"key": task.key, "kind": task.kind, "truth": list(task.names), "error": repr(exc)}
             bar.update(shown, advance=1)
-            bar.console.print(summary(row), highlight=False, soft_wrap=True)
+            bar.console.print(told(row), highlight=False, soft_wrap=True)
             yield row
 
 

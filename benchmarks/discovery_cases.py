@@ -144,12 +144,13 @@ def _edges(rng: random.Random) -> Values:
 
 @dataclass(frozen=True)
 class Case:
-    """One plant; ``truth`` are its undeclared effects."""
+    """One plant; ``truth`` are its undeclared effects, ``values`` what it was made of."""
 
     seed: int
     truth: tuple[str, ...]
     plant: Plant
     reduced: dict[str, dict[str, Any]]
+    values: Values
 
 
 def make_case(seed: int, names: tuple[str, ...]) -> Case:
@@ -161,5 +162,6 @@ def make_case(seed: int, names: tuple[str, ...]) -> Case:
         m["coulomb_Nm"] = 0.0
     if "fast_decay" in effects:
         m["L_H"] = spread(rng, 0.0005, 0.004) * m["R_ohm"]
-    plant = make_plant({**m, "effects": effects}, "case")
-    return Case(seed, names, plant, plant.reduced())
+    values = {**m, "effects": effects}
+    plant = make_plant(values, "case")
+    return Case(seed, names, plant, plant.reduced(), values)

@@ -62,6 +62,7 @@ class TableMap:
     quantum: float  # in the table's unit, 0 if none or unknown
     wrap: float  # size of a turn in the table's unit, 0 where it does not wrap
     common_zero: bool  # the zero angle is the same place in every table made with this map
+    noise_rms: float | None = None  # of the sensor beside its quantum, in the table's unit; None: estimated
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> TableMap:
@@ -108,10 +109,11 @@ class TableMap:
             raise output.fail(f"wrap is for an angle, not for a {quantity}")
         quantum = output.number("quantum", 1.0 if unit == "counts" else 0.0, low=0.0)
         common_zero = output.flag("common_zero", False)
+        noise_rms = output.number("noise_rms", low=0.0) if "noise_rms" in output else None
         output.finish()
         return cls(
             name, source, time_column, time_scale, sample_time_s, command_column, constant, command_scale, command_unit,
-            delay_ticks, pwm_hz, output_column, unit, average, quantum, wrap, common_zero,
+            delay_ticks, pwm_hz, output_column, unit, average, quantum, wrap, common_zero, noise_rms,
         )  # fmt: skip
 
     @property
@@ -178,6 +180,9 @@ def _convert(path: Path, table_map: TableMap) -> tuple[str, str, tuple[str, ...]
         "output_quantum": f"{table_map.quantum * table_map.output_factor:.12g}",
         "output_average": table_map.average,
         "counts_per_rev": f"{table_map.wrap:.0f}" if table_map.unit == "counts" and table_map.wrap.is_integer() else "",
+        "output_noise_rms": ""
+        if table_map.noise_rms is None
+        else f"{table_map.noise_rms * table_map.output_factor:.12g}",
         "pos_reset": str(not table_map.common_zero).lower(),
         "host_version": __version__,
     }

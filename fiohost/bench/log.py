@@ -200,6 +200,13 @@ class Log:
         return self._number("output_quantum", 0.0, low=0.0)
 
     @property
+    def output_noise_rms(self) -> float | None:
+        """Noise of the sensor beside its counts, rms in the output's unit; None where nobody says it."""
+        if not self.metadata.get("output_noise_rms", "").strip():
+            return None
+        return self._number("output_noise_rms", 0.0, low=0.0)
+
+    @property
     def output_average(self) -> str:
         """``instant``, or ``previous_interval``: the mean speed of the interval that ended at the row."""
         value = self.metadata.get("output_average", "instant")
@@ -303,7 +310,7 @@ class Log:
                 self._check_range(bit, 0.0, 1.0, whole=True)
         if "pos" in self.columns:
             self._check_range("pos", 0.0, self.counts_per_rev - 1.0, whole=True)
-        _ = self.output_average, self.output_quantum, self.command_delay_ticks, self.pwm_hz
+        _ = self.output_average, self.output_quantum, self.output_noise_rms, self.command_delay_ticks, self.pwm_hz
         if len(self) < 2:
             return []
         steps = np.diff(self.time_s) / self.sample_time_s

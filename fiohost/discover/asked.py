@@ -68,7 +68,8 @@ def _piece(record: Record, a: int, b: int) -> Record:
         excitation=replace(record.excitation, times_s=times),
         y=record.y[a:b],
         at_rest=False,
-        windows=cut_windows(times),
+        segments=record.segments[a:b],
+        windows=cut_windows(times, segments=record.segments[a:b]),
     )
 
 

@@ -53,6 +53,7 @@ def slices(record: Record, pieces: int) -> list[Record]:
             rotary=record.rotary,
             clock_s=ex.clock_s + float(ex.times_s[a]),
             own_zero=record.own_zero,
+            segments=record.segments[a:b],
         )
         if a > 0:
             duties = piece.excitation.duties_pct.copy()

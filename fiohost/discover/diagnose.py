@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost.discover.clock import in_sequence
+from fiohost.discover.degenerate import believed
 from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
@@ -24,11 +25,13 @@ from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.strategy import searched
 from fiohost.discover.verdict import Excess, excesses
+from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, pwm_of, with_bench_zero
 from fiohost.motor.model import Model
+from fiohost.noise.estimate import Noise
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,9 @@ class Diagnosis:
     files: dict[str, dict[str, str]] = field(default_factory=dict)
     outlook: Outlook = field(default_factory=Outlook)
     one_clock: bool = False
+    noise: Noise | None = None
+    noise_decided: bool = False
+    white: bool = False
 
     @property
     def final(self) -> Stage:
@@ -57,9 +63,29 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        if not self.final.follows:
+        if not self.final.follows or (self.noise_decided and not self.white):
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
+
+    @property
+    def explained_to(self) -> str | None:
+        """To what the final model explains the data: the sensor's counts, noise, or how far repeats of a run differ."""
+        if self.verdict == "unexplained":
+            return None
+        if any(f.source == "repeats" for f in self.final.floors):
+            return "repeatability"
+        return "noise" if self.noise_decided else "sensor"
+
+    @property
+    def explained_pct(self) -> float | None:
+        """Share of the declared model's squared error above the floor that is gone, in one-second windows."""
+        before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
+        floor = pool([f.errors for f in self.final.floors])
+        if before is None or after is None or floor is None:
+            return None
+        there = before.window_rms**2 - floor.window_rms**2
+        left = max(after.window_rms**2 - floor.window_rms**2, 0.0)
+        return 100.0 * max(1.0 - left / there, 0.0) if there > left else (100.0 if left == 0.0 else 0.0)
 
     @property
     def not_followed(self) -> list[Excess]:
@@ -113,11 +139,14 @@ def _diagnose(
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
-    found = searched(train, model, library, from_file, rng, say)
+    hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
+    found = believed(searched(train, model, library, from_file, rng, say, hidden), hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
     declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.final
+    if found.noise:
+        train, holdout = drawing(train, found.noise), drawing(holdout, found.noise)
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
@@ -136,6 +165,9 @@ def _diagnose(
         seconds=time.monotonic() - began,
         files=files,
         one_clock=found.one_clock,
+        noise=found.noise or noise_of(final, [j.start for j in stage.judgements], train),
+        noise_decided=found.noise is not None,
+        white=found.white if found.noise else looks_white(stage, train),
     )
 
 

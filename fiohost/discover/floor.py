@@ -12,11 +12,15 @@ import numpy as np
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, errors, free_output
+from fiohost.estimation.predict import Flat, errors, free_output, free_states
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.motor.state import BRAKE, DRIVE, OMEGA, STANDBY
+from fiohost.noise.covariance import COASTS, DRIVEN, REST, driven_output
+from fiohost.noise.draw import draw_torque
+from fiohost.noise.estimate import Noise
 
 REPLICAS = 32
 # Drawn in addition where a figure stands just above the first: a tail is not known from so few.
@@ -83,12 +87,48 @@ def replica(
     """
     flat = Flat.of(model)
     shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
-    truth = free_output(record, flat, start._replace(angle=start.angle + shift))
+    noise = record.disturbance.noise if record.disturbance else None
+    driven = disturbed(record, model, noise, rng) if noise and noise.torque_pct.value > 0.0 else record
+    begin = start._replace(angle=start.angle + shift)
+    truth = free_output(driven, flat, begin)
+    if driven is not record:
+        truth = truth + _while_coasting(driven, model, begin, noise, rng)
+    if noise and noise.sensor.value > 0.0:
+        truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
     if record.kind == ANGLE:
         return quantise(record, truth + 0.5 * record.quantum)
     if record.kind == MEAN_SPEED:
         truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
     return quantise(record, truth)
+
+
+def disturbed(record: Record, model: Model, noise: Noise, rng: np.random.Generator) -> Record:
+    """The record with a random torque on its shaft: in percent of duty it adds to what acts, braked or driven."""
+    ex = record.excitation
+    duties, modes = ex.duties_pct.copy(), ex.modes.copy()
+    braked = (modes == BRAKE) if "fast_decay" not in model.effects else np.zeros(len(modes), dtype=bool)
+    duties[braked], modes[braked] = 0.0, DRIVE
+    driven = modes == DRIVE
+    torque = draw_torque(np.append(ex.act_times_s[0] - record.sample_time_s, ex.act_times_s), noise, rng)
+    duties[driven] += torque[driven]
+    return replace(record, excitation=replace(ex, duties_pct=duties, modes=modes))
+
+
+def _while_coasting(
+    record: Record, model: Model, start: Start, noise: Noise | None, rng: np.random.Generator
+) -> np.ndarray:
+    """What a random torque adds to the output (n) where the bridge is open: no duty stands for it there."""
+    ex = record.excitation
+    coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
+    if noise is None or not coasts.any():
+        return np.zeros(len(record))
+    flat = Flat.of(model)
+    stands = free_states(record, flat, start)[:, OMEGA] == 0.0
+    torque = draw_torque(ex.times_s, noise, rng) * coasts
+    moving = np.where(stands, REST, np.where(coasts, COASTS, DRIVEN))
+    return driven_output(
+        ex.times_s, moving, torque, model.number("linear.gain_deg_s_per_pct"), model.number("linear.tau_s"), record.kind
+    )
 
 
 def _mean(draws: Sequence[Errors]) -> Errors:

@@ -23,7 +23,7 @@ from fiohost.discover.counts import (
 from fiohost.discover.finding import Case, Finding, Skipped
 from fiohost.discover.order_locked import SPEED_RATIO, Ripple, ripples
 from fiohost.discover.said import Said
-from fiohost.discover.timing import irregular_stamps, missing_ticks, sampling_jitter
+from fiohost.discover.timing import doubtful_rows, found_step, irregular_stamps, missing_ticks, sampling_jitter
 from fiohost.estimation.record import ANGLE, Record
 
 TURN_DEG = 360.0
@@ -208,7 +208,9 @@ def _order_locked(cases: Sequence[Case]) -> Iterator[Finding]:
 
 
 ONE_BY_ONE: Sequence[Callable[[Case], Iterator[Finding]]] = (
+    found_step,
     missing_ticks,
+    doubtful_rows,
     irregular_stamps,
     sampling_jitter,
     _direction_bit,

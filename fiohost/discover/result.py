@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
+from fiohost.discover.likelihood import SETTINGS as SEARCH
 from fiohost.discover.metrics import Errors, pool
 from fiohost.discover.stage import Stage
 from fiohost.discover.units import LOG_UNIT, in_metres
 from fiohost.discover.verdict import Excess
+from fiohost.estimation.intervals import Estimate
+from fiohost.estimation.stamps import SETTINGS as STAMPS
+from fiohost.noise.estimate import Ranged
+from fiohost.noise.settings import SETTINGS as NOISE
 
 
 def _errors(errors: Errors | None) -> dict[str, Any] | None:
@@ -32,6 +38,23 @@ def _parameters(diagnosis: Diagnosis, stage: Stage, only: str | None = None) -> 
         else:
             found[key] = known[name].to_json()
     return found
+
+
+def _noise(found: Diagnosis) -> dict[str, Any] | None:
+    """What is left beside counts: the sensor's noise and a random torque with its correlation time."""
+    if found.noise is None or not found.noise.samples:
+        return None
+    noise, unit = found.noise, found.train[0].unit
+    torque = noise.torque_known
+
+    def told(ranged: Ranged, unit: str, identifiable: bool) -> dict[str, Any]:
+        return Estimate(ranged.value, unit, (ranged.low, ranged.high), identifiable, False).to_json()
+
+    return {
+        "sensor_rms": told(noise.sensor, unit, True),
+        "torque_rms_pct": told(noise.torque_pct, "%", True),
+        "torque_time_s": told(noise.torque_s, "s", torque),
+    }
 
 
 def _excess(above: Excess) -> dict[str, Any]:
@@ -79,6 +102,11 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         **found.preliminary.to_json(),
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(found, declared)},
         "verdict": found.verdict,
+        "explained_to": found.explained_to,
+        "explained_pct": found.explained_pct,
+        "noise": _noise(found),
+        "run_to_run": {},
+        "settings": {"noise": asdict(NOISE), "stamps": asdict(STAMPS), "search": asdict(SEARCH)},
         "clock": "logs one after the other" if found.one_clock else "as the logs say",
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
@@ -96,7 +124,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "floor": {
             "train": _errors(pool([f.errors for f in final.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),
-            "from": "repeats" if "repeats" in sources else "replicas",
+            "from": "repeats" if "repeats" in sources else "noise" if found.noise_decided else "replicas",
             "replicas": REPLICAS,
         },
         "logs": logs,
@@ -105,7 +133,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for c in sorted(found.candidates, key=lambda c: c.score, reverse=True)
         ],
         "residual": {
-            "white": final.follows,
+            "white": found.white,
             "depends_on": [d.variable for d in found.residual if d.significant] if not final.follows else [],
             "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {

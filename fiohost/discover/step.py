@@ -11,6 +11,7 @@ from fiohost.discover.round import Candidate
 from fiohost.discover.stage import Stage
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
+from fiohost.noise.estimate import Noise
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,15 @@ class Step:
 @dataclass(frozen=True)
 class Found:
     """The outcome of one search: the declared stage first, the final one last. ``one_clock`` says that its records were
-    taken for one after the other.
+    taken for one after the other. Where noise decided, ``noise`` is what is left, and ``white`` whether it looks so.
     """
 
     stages: tuple[Stage, ...]
     steps: tuple[Step, ...]
     offered: tuple[Candidate, ...]
     one_clock: bool = False
+    noise: Noise | None = None
+    white: bool = False
 
     @property
     def final(self) -> Stage:

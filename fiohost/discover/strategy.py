@@ -1,24 +1,31 @@
-"""Which searches follow upon each other: by whole runs, by one-second windows, by whole runs again, begun anew."""
+"""Which searches follow upon each other: by whole runs, by windows, begun anew, by the noise that is left."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fiohost.discover.clock import by_one_clock
+from fiohost.discover.counts import AT_SPEED, COUNT_NOISE, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
+from fiohost.discover.likelihood import Selection, select_by_deviance
 from fiohost.discover.metrics import pool
 from fiohost.discover.reconsider import reconsidered
 from fiohost.discover.round import Progress
 from fiohost.discover.search import SHOWS, Search, declared_alone, eased, only_commonest, select
 from fiohost.discover.step import Found
 from fiohost.estimation.record import Record
+from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
 # One search is preferred to another where it comes so much closer.
 BETTER = 0.97
 # Windows are looked at where so much of their power stands above the floor, as a share of it.
 FAR_FROM_FLOOR = 3.0
+# What is left is more than counts where windows stand above their error by this factor: the faintest worlds have 1.6.
+MORE_THAN_COUNTS = 1.3
+# Bootstrap samples of the noise have a stream of their own, so that no other draw depends on whether they are needed.
+NOISE_SEED = 1
 
 
 def searched(
@@ -28,23 +35,57 @@ def searched(
     from_file: bool,
     rng: np.random.Generator,
     say: Progress,
+    hidden: Mapping[str, str],
 ) -> Found:
-    """The search by whole runs; where these stay unexplained, by windows, and by whole runs again from there.
+    """The search by whole runs, where counts are all that is left of a true model; where these stay unexplained, by
+    windows, and by whole runs again from there; where that does not explain all either, or the sensor is noisy or
+    commands are missing, by the deviance of windows under the noise that is left, without what is ``hidden`` from the
+    logs.
 
-    Names from windows count only once whole runs can be followed with them: windows alone also like what just lets a
-    shaft coast whose speed wanders. With few experiments they come first: their whole runs have too many ledges. What
-    was named in turn is asked for again in the end.
+    Names from windows as they are count only once whole runs can be followed with them: such windows also like what
+    just lets a shaft coast whose speed wanders. With few experiments they come first: their whole runs have too many
+    local minima. What was named in turn is asked for again in the end.
     """
     whole = Search(train, rng, library, say)
-    return reconsidered(whole, _by_turns(whole, model, from_file))
-
-
-def _by_turns(whole: Search, model: Model, from_file: bool) -> Found:
-    train, few = whole.train, whole.context.few
-    library, rng, say = whole.context.library, whole.context.rng, whole.context.say
     alone = declared_alone(whole, model, from_file)
     if alone.final.follows:
         return alone
+
+    def by_noise() -> Found:
+        say("by the noise that is left")
+        shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        return select_by_deviance(Selection(train, np.random.default_rng(NOISE_SEED), shown, say), alone.final.fit)
+
+    if any(r.broken for r in train) or _noisy_sensor(train):
+        return by_noise()
+    found = reconsidered(whole, _by_turns(whole, model, from_file, alone))
+    if found.final.follows:
+        return found
+    noisy = by_noise()
+    return noisy if _explained_by_noise(noisy, max(r.quantum for r in train)) else found
+
+
+def _noisy_sensor(records: Sequence[Record]) -> bool:
+    """Whether readings of a moving shaft are rougher than any counts make them; of a sensor without counts nothing else
+    is known.
+    """
+    if max(r.quantum for r in records) <= 0.0:
+        return True
+    found = [roughness(data) for data in map(counts_of, records) if data is not None]
+    rough = np.concatenate([[], *(r[np.abs(speed) > AT_SPEED] for r, speed in found)])
+    return len(rough) >= LEAST_MOVING and spread(rough) > ROUGHEST_COUNTS
+
+
+def _explained_by_noise(found: Found, quantum: float) -> bool:
+    """Whether what is left looks like noise that is more than counts."""
+    final = found.final
+    left, counts = _window_rms(found), quantum * COUNT_NOISE
+    return found.white and final.follows and left > MORE_THAN_COUNTS * counts
+
+
+def _by_turns(whole: Search, model: Model, from_file: bool, alone: Found) -> Found:
+    train, few = whole.train, whole.context.few
+    library, rng, say = whole.context.library, whole.context.rng, whole.context.say
 
     def by_windows() -> Found:
         found = select(Search(train, rng, library, say, windows=True), alone)

@@ -27,14 +27,40 @@ def missing_ticks(case: Case) -> Iterator[Finding]:
     if case.said.ambiguous:
         advice += "in some of them the shaft may have made another turn: cut the log there"
     elif np.any(unknown > 0.5):
-        advice += "the command changes across some of them and what acted in between is not known: cut the log there"
+        advice += "the command changes across some of them and what acted in between is not known: windows begin anew"
     else:
         advice += "the simulation goes on across them and nothing has to be done"
     yield case.finding("missing_ticks", bool(case.said.ambiguous or np.any(unknown > 0.5)), rows, advice)
 
 
+def found_step(case: Case) -> Iterator[Finding]:
+    """The sensor's step where nobody said it and the readings show it."""
+    if case.record.quantum_found:
+        step = f"{case.record.quantum:.6g} {case.record.unit}"
+        advice = f"all readings differ by multiples of {step}, which is taken for the sensor's step"
+        yield case.finding("quantum_found", False, np.empty(0, dtype=np.int64), advice)
+
+
+def doubtful_rows(case: Case) -> Iterator[Finding]:
+    """Single rows whose direction bits contradict all around them."""
+    rows = np.array(case.record.doubtful, dtype=np.int64)
+    if rows.size:
+        advice = (
+            f"the direction bits of {'row' if rows.size == 1 else 'rows'} {', '.join(str(r + 1) for r in rows[:10])} "
+            "contradict all rows around: set aside, and windows begin anew there"
+        )
+        yield case.finding("doubtful_row", False, rows, advice)
+
+
 def irregular_stamps(case: Case) -> Iterator[Finding]:
     """Time stamps off the grid, and whether the readings follow them."""
+    if case.record.regular:
+        advice = (
+            "the time stamps scatter and the readings do not follow them: the target samples by its own clock; rows "
+            "were taken for a tick apart"
+        )
+        yield case.finding("irregular_time_stamps", False, np.arange(len(case.record)), advice)
+        return
     off = case.data.ticks - case.data.whole
     turned = np.abs(off) * case.top_speed
     rows = np.flatnonzero(turned > 0.5) + 1

@@ -40,6 +40,9 @@ RULES = (
 )
 
 
+WHOLE_RUN = ("free_run_rms", "bin_violation_pct")
+
+
 @dataclass(frozen=True)
 class Excess:
     """One figure of one record: ``limit`` is how high its replicas stand, above ``allowed`` something is missed."""
@@ -74,7 +77,8 @@ def _limit(rule: Rule, floor: Floor, draws: np.ndarray) -> float:
 def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors: Sequence[Floor]) -> list[Excess]:
     """Every tested figure of every record with its limit; figures that a record does not have are left out.
 
-    Where repeats of an experiment scatter more than the counts, only the figures that scatter is known of are tested.
+    Where repeats of an experiment scatter more than the counts, only the figures that scatter is known of are tested;
+    where commands are missing, no figure of whole runs.
     """
     found = []
     for record, judgement, floor in zip(records, judgements, floors, strict=True):
@@ -83,6 +87,8 @@ def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors:
             draws = [_figure(d, rule.figure) for d in floor.draws]
             known = [d for d in draws if d is not None]
             if value is None or not known or (floor.source == "repeats" and not rule.by_scatter):
+                continue
+            if record.broken and rule.figure in WHOLE_RUN:
                 continue
             limit = _limit(rule, floor, np.array(known))
             if rule.figure == "wide_windows_pct":  # one window more proves nothing

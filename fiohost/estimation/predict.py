@@ -172,9 +172,17 @@ def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: n
 
 
 def windowed(record: Record, flat: Flat, start: Start, y: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """``in_windows`` of the free run from a start."""
+    """``in_windows`` of the free run from a start, whitened where the record's noise is known."""
     flat = flat.from_zero(start.zero)
-    return in_windows(record, flat, free_states(record, flat, start), y)
+    residuals, begins = in_windows(record, flat, free_states(record, flat, start), y)
+    return whitened(record, residuals), begins
+
+
+def whitened(record: Record, series: np.ndarray) -> np.ndarray:
+    """A series (n) over a record's windows as a fit sees it: whitened where the record's noise is known."""
+    if record.disturbance is None or record.disturbance.whitener is None:
+        return series
+    return record.disturbance.whitener.apply(series)
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

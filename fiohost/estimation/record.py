@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fiohost.errors import DataError
+from fiohost.estimation.stamps import doubtful_modes, known_segments, true_times
 from fiohost.motor.model import MM_PER_M
 from fiohost.motor.simulate import Excitation
+from fiohost.noise.quantum import found_quantum
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
+    from fiohost.noise.disturbance import Disturbance
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST_SAMPLES = 5
@@ -33,8 +36,12 @@ class Record:
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
     where on the bench's turn its angle is zero. ``pwm_hz`` is the frequency of the bridge's PWM, 0 where unknown.
-    ``weights`` (n) are by what whole runs weigh the readings' errors, ``windows`` (m + 1) the edges of one-second
-    windows, of which only ``every`` so many are looked at.
+    ``weights`` (n) are by what whole runs weigh the readings' errors,
+    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at. ``segments`` (n)
+    number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
+    ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
+    clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared. With a
+    ``disturbance`` windows are whitened, and bootstrap samples are drawn with it.
     """
 
     name: str
@@ -51,9 +58,20 @@ class Record:
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     every: int = 1
     weights: np.ndarray = field(default_factory=lambda: np.empty(0))
+    segments: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    doubtful: tuple[int, ...] = ()
+    regular: bool = False
+    quantum_found: bool = False
+    noise_rms: float | None = None
+    disturbance: Disturbance | None = None
 
     def __len__(self) -> int:
         return len(self.y)
+
+    @property
+    def broken(self) -> bool:
+        """Whether commands are missing, so that a whole run cannot be followed."""
+        return bool(len(self.segments)) and int(self.segments[0]) != int(self.segments[-1])
 
     @property
     def seconds(self) -> float:
@@ -70,10 +88,17 @@ class Record:
         return min(max(int(np.searchsorted(times, times[0] + 1.0)), REST_SAMPLES), len(self))
 
 
-def cut_windows(times_s: np.ndarray, length_s: float = 1.0) -> np.ndarray:
+def cut_windows(times_s: np.ndarray, length_s: float = 1.0, segments: np.ndarray | None = None) -> np.ndarray:
     """Boundaries (m + 1) of consecutive windows of one length; a last piece under half a window joins the one
     before.
+
+    No window spans two ``segments`` (n); a row where an unknown command acts (-1) is a window of its own, which fits
+    anything.
     """
+    if segments is not None and len(segments) and (segments != segments[0]).any():
+        ends = [0, *(np.flatnonzero((np.diff(segments) != 0) | (segments[1:] < 0)) + 1).tolist(), len(times_s)]
+        parts = [a + cut_windows(times_s[a:b], length_s)[:-1] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return np.concatenate([*parts, [len(times_s)]]).astype(np.int64)
     marks = np.arange(times_s[0], times_s[-1] + length_s, length_s)
     edges = np.unique(np.concatenate((np.searchsorted(times_s, marks - 1e-9), [len(times_s)])))
     if len(edges) > 2 and times_s[-1] - times_s[edges[-2]] < 0.5 * length_s:
@@ -111,12 +136,14 @@ def make_record(
     at_rest: bool | None = None,
     clock_s: float = 0.0,
     own_zero: bool = False,
+    segments: np.ndarray | None = None,
 ) -> Record:
     """Build a record from columns (n each): times in s, signed duty in percent, measured output in ``unit``.
 
     ``at_rest`` says that the shaft stands still at the first sample; None judges by the samples, and then the speed is
     estimated unless they are all equal. What acted before the first row is not recorded: it is taken as the first
-    command where the shaft is clearly in motion, else as brake. Raises DataError if there is too little to work on.
+    command where the shaft is clearly in motion, else as brake. ``segments`` (n) number the stretches of known
+    commands; None: all are known. Raises DataError if there is too little to work on.
     """
     if len(times_s) < SHORTEST:
         raise DataError(f"{name}: {len(times_s)} samples are too few, at least {SHORTEST} are needed")
@@ -146,7 +173,8 @@ def make_record(
         at_rest=at_rest,
         rotary=rotary,
         own_zero=own_zero,
-        windows=cut_windows(times),
+        segments=np.zeros(len(times), dtype=np.int64) if segments is None else segments,
+        windows=cut_windows(times, segments=segments),
         weights=rest_weights(output, kind, quantum, step),
     )
 
@@ -173,31 +201,47 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
     """The record of a log: its output whatever it is, its commands with what is known of the bench.
 
     Known are the delay until a command acts and the steps of the target's timer; neither is ever a missing effect.
-    Metres become millimetres.
+    Metres become millimetres. Stamps that the readings contradict are taken for those of a regular clock, a single row
+    whose direction bits contradict all around it is set aside, windows begin anew after missing ticks, and a sensor's
+    step that nobody says is looked for in its readings.
     """
     output = log.output_name
     kind = ANGLE if output in ("angle_deg", "position_m") else SPEED
     if kind == SPEED and log.output_average == "previous_interval":
         kind = MEAN_SPEED
     scale = MM_PER_M if log.output_unit in HELD_IN else 1.0
-    y = log.output * scale
+    y, step_s = log.output * scale, log.sample_time_s
+    duty = acting_duty(log.duty_pct, log.duty_steps)
+    times = true_times(log.time_s, y, step_s) if kind == ANGLE else log.time_s
+    mode, doubtful = doubtful_modes(log.mode, duty)
+    delay_s = log.command_delay_ticks * step_s
+    quantum = log.output_quantum * scale or found_quantum(y)
+    noise = log.output_noise_rms
     record = make_record(
         name or (log.path.name if log.path else "log"),
-        log.time_s,
-        acting_duty(log.duty_pct, log.duty_steps),
+        times,
+        duty,
         y,
-        mode=log.mode,
+        mode=mode,
         kind=kind,
         unit=HELD_IN.get(log.output_unit, log.output_unit),
-        quantum=log.output_quantum * scale,
-        sample_time_s=log.sample_time_s,
-        command_delay_s=log.command_delay_ticks * log.sample_time_s,
+        quantum=quantum,
+        sample_time_s=step_s,
+        command_delay_s=delay_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
         own_zero=log.pos_reset and output == "angle_deg",
         clock_s=log.bench_time_s,
         at_rest=None if log.begins_at_rest and (len(y) < 2 or y[0] != y[1]) else log.begins_at_rest,
+        segments=known_segments(times, duty, mode, doubtful, step_s, delay_s),
     )
-    return replace(record, pwm_hz=log.pwm_hz)
+    return replace(
+        record,
+        pwm_hz=log.pwm_hz,
+        doubtful=doubtful,
+        regular=times is not log.time_s,
+        quantum_found=quantum > 0.0 and log.output_quantum <= 0.0,
+        noise_rms=None if noise is None else noise * scale,
+    )
 
 
 def pwm_of(records: Sequence[Record]) -> float:

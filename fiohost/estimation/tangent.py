@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Flat, free_states, moved, speed_step, turned_deg
+from fiohost.estimation.predict import Flat, free_states, moved, speed_step, turned_deg, whitened
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -44,7 +44,7 @@ class Tangent:
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
         outputs, by_angle, by_speed = self._around
         change = (self._outputs(flat, begins) - outputs) / step
-        return np.asarray(change - self._along(change, by_angle) - self._along(change, by_speed))
+        return whitened(self.record, change - self._along(change, by_angle) - self._along(change, by_speed))
 
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -129,15 +129,33 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
             f"out{_level(diagnosis)}."
         )
     if verdict == "no_missing_effect":
-        return f"Nothing is missing: {declared} explains the data down to their floor{_level(diagnosis)}."
+        level = "to within the noise" if diagnosis.get("explained_to") == "noise" else "down to their floor"
+        return f"Nothing is missing: {declared} explains the data {level}{_level(diagnosis)}.{_noise(diagnosis)}"
     if verdict == "explained":
-        return f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}{MORE_HELD_OUT if more else ''}"
+        said = f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}{_noise(diagnosis)}"
+        return f"{said}{MORE_HELD_OUT if more else ''}"
     remains = f"what remains follows {rest}" if rest else "what remains follows nothing that was looked at"
     if found:
         return (
             f"Partly explained: adding {listed(found)} helped, but structure remains. {change} Unexplained: {remains}."
         )
     return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
+
+
+def _noise(diagnosis: Mapping[str, Any]) -> str:
+    """What is left where the data are explained to within the noise; empty otherwise."""
+    noise = diagnosis.get("noise")
+    if diagnosis.get("explained_to") != "noise" or not isinstance(noise, Mapping):
+        return ""
+    parts = []
+    for key, what in (("sensor_rms", "sensor noise"), ("torque_rms_pct", "a random torque")):
+        told = noise[key]
+        if told["ci95"][0] > 0.0:
+            unit = "% of duty" if key == "torque_rms_pct" else told["unit"]
+            parts.append(f"{what} of {with_unit(told['value'], unit, 2)} rms")
+    if noise["torque_rms_pct"]["ci95"][0] > 0.0:
+        parts[-1] += f" that lasts {with_unit(noise['torque_time_s']['value'], 's', 2)}"
+    return f" What is left is {listed(parts)}." if parts else ""
 
 
 def _clock(diagnosis: Mapping[str, Any]) -> str:

@@ -1,0 +1,159 @@
+"""A model fitted to windows whitened by the noise that it leaves: the two settle on each other.
+
+Generalised least squares over one-second windows whose angle and speed are free, the covariance from the residuals of
+the fit before (iteratively reweighted, as in Carroll and Ruppert 1988): its cost is a deviance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiohost.discover.floor import replica
+from fiohost.discover.stage import Stage
+from fiohost.discover.workers import each
+from fiohost.estimation.fit import Fit, fit
+from fiohost.estimation.predict import Flat, windowed
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+from fiohost.motor.state import STANDBY
+from fiohost.noise.covariance import COASTS, DRIVEN, REST
+from fiohost.noise.disturbance import Disturbance
+from fiohost.noise.estimate import Group, Motor, Noise, estimate, grouped, pieces
+from fiohost.noise.whiten import Whitener, is_white, unevenness
+
+# Noise and model settle on each other within two rounds: the third changes neither by a tenth of its interval.
+ROUNDS = 2
+# A speed below this share of the top speed is a digit of rounding.
+STANDS = 1e-6
+# Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
+WHITE_DRAWS, WHITE_SEED = 16, 2
+# So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
+KINK_S = 0.1
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A model fitted to windows of ``records``, whitened by the ``noise`` that it leaves, the shaft standing where
+    ``moving`` (n each) says.
+    """
+
+    fit: Fit
+    records: tuple[Record, ...]
+    noise: Noise
+    moving: tuple[np.ndarray, ...]
+
+    @property
+    def deviance(self) -> float:
+        """-2 log restricted likelihood, but for a constant of the windows; comparable where ``moving`` is the same."""
+        whiteners = [r.disturbance.whitener for r in self.records if r.disturbance is not None]
+        return self.fit.cost + sum(w.log_determinant for w in whiteners if w is not None)
+
+
+def motor_of(record: Record, model: Model) -> Motor:
+    """The model's motor as a torque meets it, and the record's sensor; numbers rounded, so that work on them serves
+    again.
+    """
+    gain, tau_s = model.number("linear.gain_deg_s_per_pct"), model.number("linear.tau_s")
+    return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), record.kind, record.quantum, record.sample_time_s)
+
+
+def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What windows leave (n), the speed (n) in them, and how the shaft moves from each sample to the next (n): whether
+    it stands, is driven or coasts.
+    """
+    plain = replace(record, disturbance=None, every=1)
+    residual, _ = windowed(plain, Flat.of(model), start)
+    speed = record.y - residual
+    ex = record.excitation
+    if record.kind == ANGLE:
+        steps = np.diff(speed) / np.diff(ex.times_s)
+        within = np.ones(len(steps), dtype=bool)
+        within[record.windows[1:-1] - 1] = False  # from one window to the next it jumps
+        before = np.maximum.accumulate(np.where(within, np.arange(len(steps)), 0))
+        speed = np.append(steps[before], steps[before[-1]])
+    moves = np.abs(speed) > STANDS * float(np.max(np.abs(speed), initial=0.0))
+    near = round(KINK_S / record.sample_time_s)
+    moves = np.convolve(moves, np.ones(2 * near + 1), mode="same") > 0.5
+    coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
+    return residual, speed, np.where(moves, np.where(coasts, COASTS, DRIVEN), REST)
+
+
+def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record]) -> Noise:
+    """The noise that a fitted model leaves in windows of records."""
+    found: list[Group] = []
+    for record, start in zip(records, starts, strict=True):
+        residual, speed, moving = simulated_in_windows(record, model, start)
+        motor = motor_of(record, model)
+        driven = np.where(moving == DRIVEN, speed, 0.0)
+        found += grouped(pieces(residual, driven, record.windows, motor), motor)
+    declared = {r.noise_rms for r in records}
+    return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
+
+
+def movement(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> tuple[np.ndarray, ...]:
+    """How a model's shaft moves from each sample of each record to the next (n each)."""
+    return tuple(simulated_in_windows(r, model, s)[2] for r, s in zip(records, starts, strict=True))
+
+
+def with_noise(
+    records: Sequence[Record], model: Model, noise: Noise, moving: Sequence[np.ndarray]
+) -> tuple[Record, ...]:
+    """The records with their windows whitened by a noise."""
+    found = []
+    for record, moves in zip(records, moving, strict=True):
+        times, edges = record.excitation.times_s, record.windows
+        whitener = Whitener.of(times, moves, edges[:-1], edges[1:], motor_of(record, model), noise)
+        found.append(replace(record, every=1, disturbance=Disturbance(noise, whitener)))
+    return tuple(found)
+
+
+def drawing(records: Sequence[Record], noise: Noise) -> list[Record]:
+    """The records with their bootstrap samples drawn with a noise, their windows as they are."""
+    return [replace(r, disturbance=Disturbance(noise)) for r in records]
+
+
+def plain(records: Sequence[Record]) -> list[Record]:
+    """The records with all their windows, as they are."""
+    return [replace(r, disturbance=None, every=1) for r in records]
+
+
+def settle(
+    model: Model,
+    records: Sequence[Record],
+    starts: Sequence[Start] | None = None,
+    moving: Sequence[np.ndarray] | None = None,
+    rounds: int = ROUNDS,
+) -> Settled:
+    """Fit a model to windows and whiten them by what it leaves, in turn; ``moving`` where another model's movement is
+    to be kept.
+    """
+    bare = plain(records)
+    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=20, tolerance=1e-4)
+    moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
+    whitened = tuple(bare)
+    for _ in range(rounds):
+        noise = noise_of(fitted.model, fitted.starts, bare)
+        whitened = with_noise(bare, fitted.model, noise, moves)
+        fitted = fit(fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5)
+    return Settled(fitted, whitened, noise, moves)
+
+
+def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
+    """Whether what a stage leaves in windows is as white as what its own bootstrap samples leave, at 1 %."""
+    flat, edges = Flat.of(stage.fit.model), [r.windows for r in records]
+    starts = [j.start for j in stage.judgements]
+    rngs = np.random.default_rng(WHITE_SEED).spawn(WHITE_DRAWS)
+
+    def draw(rng: np.random.Generator) -> float:
+        errors = [
+            windowed(r, flat, j.start, replica(r, stage.fit.model, j.start, rng, j.free_residual))[0]
+            for r, j in zip(records, stage.judgements, strict=True)
+        ]
+        return unevenness(errors, edges)
+
+    left = [windowed(r, flat, s)[0] for r, s in zip(records, starts, strict=True)]
+    return is_white(unevenness(left, edges), each(draw, rngs))

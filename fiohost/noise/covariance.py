@@ -1,0 +1,102 @@
+"""Covariances of what a random torque does to the output of a first-order motor, exactly at the sample times.
+
+The motor is ``tau w' + w = K d``; the torque d, in percent of duty, is held from sample to sample and is an
+Ornstein-Uhlenbeck process of standard deviation sigma_p and correlation time tau_d (Uhlenbeck and Ornstein 1930).
+While the shaft stands, a torque does nothing and what it did to the speed is gone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
+REST, DRIVEN, COASTS = 0, 1, 2
+# A shaft that coasts has no back-emf to brake it: so many times the lag, and the gain with it.
+OPEN = 1e3
+
+
+def response(times_s: np.ndarray, moving: np.ndarray, gain: float, tau_s: float, kind: int) -> np.ndarray:
+    """Output (n, n) at each time, in its unit, of a torque of 1 % from each sample to the next.
+
+    ``times_s`` (n); ``moving`` (n) says how the shaft moves from this sample to the next: at rest, driven or coasting;
+    ``gain`` in the output's unit per second and percent, or per percent of a speed; ``kind`` of output: angle, speed or
+    mean speed.
+    """
+    n = len(times_s)
+    speed, angle = np.zeros((n, n)), np.zeros((n, n))
+    for k, step in enumerate(np.diff(times_s)):
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s
+            angle[k + 1] += goes * speed[k]
+            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+            angle[k + 1, k] += full * (step - goes)
+            speed[k + 1, k] += full * goes / lag
+    return _seen(times_s, angle, speed, kind)
+
+
+def driven_output(
+    times_s: np.ndarray, moving: np.ndarray, torque_pct: np.ndarray, gain: float, tau_s: float, kind: int
+) -> np.ndarray:
+    """Output (n) that a torque (n) makes, as ``response`` has it, along a whole run."""
+    n = len(times_s)
+    speed, angle = np.zeros((n, 1)), np.zeros((n, 1))
+    for k, step in enumerate(np.diff(times_s).tolist()):
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s * torque_pct[k]
+            angle[k + 1] += goes * speed[k] + full * (step - goes)
+            speed[k + 1] = (1.0 - goes / lag) * speed[k] + full * goes / lag
+    return _seen(times_s, angle, speed, kind)[:, 0]
+
+
+def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> np.ndarray:
+    """Columns (n, 1..2) by which the output follows the angle and the speed at the first sample."""
+    speed, angle = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
+    speed[0] = 1.0
+    for k, step in enumerate(np.diff(times_s)):
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
+            goes = -lag * np.expm1(-step / lag)
+            angle[k + 1] += goes * speed[k]
+            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+    by_speed = _seen(times_s, angle, speed, kind)
+    if kind == MEAN_SPEED:  # the first was measured before the window began
+        return np.column_stack((by_speed, np.arange(len(times_s)) == 0))
+    return np.column_stack((np.ones(len(times_s)), by_speed)) if kind == ANGLE else by_speed
+
+
+def _seen(times_s: np.ndarray, angle: np.ndarray, speed: np.ndarray, kind: int) -> np.ndarray:
+    if kind == ANGLE:
+        return angle
+    if kind == SPEED:
+        return speed
+    mean = np.zeros_like(angle)
+    mean[1:] = np.diff(angle, axis=0) / np.diff(times_s)[:, None]
+    return mean
+
+
+def torque(times_s: np.ndarray, time_s: float) -> np.ndarray:
+    """Correlation (n, n) of a torque of correlation time ``time_s``."""
+    return np.asarray(np.exp(-np.abs(times_s[:, None] - times_s[None, :]) / time_s))
+
+
+def counts(n: int, quantum: float, kind: int) -> np.ndarray:
+    """Covariance (n, n) of the errors that counts make of a moving shaft.
+
+    Each reading errs evenly within a count; what a mean speed taken from counts lacks, the next one has.
+    """
+    own = quantum**2 / 12.0
+    if kind != MEAN_SPEED:
+        return own * np.eye(n)
+    return own * (2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+
+
+def outside(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, n - rank) of what the columns (n, q) do not reach."""
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=True)
+    rank = int(np.sum(sizes > 1e-9 * max(float(sizes.max(initial=0.0)), 1e-300)))
+    return np.asarray(left[:, rank:])

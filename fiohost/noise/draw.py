@@ -1,0 +1,23 @@
+"""Draws of the noise, for bootstrap samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fiohost.noise.estimate import Noise
+
+
+def draw_torque(times_s: np.ndarray, noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    """A random torque (n) in percent of duty at the times: exact steps of an Ornstein-Uhlenbeck process (Gillespie
+    1996).
+    """
+    torque_pct, time_s = noise.torque_pct.value, noise.torque_s.value
+    if torque_pct <= 0.0 or time_s <= 0.0:
+        return np.zeros(len(times_s))
+    stays = np.exp(-np.diff(times_s) / time_s)
+    kicks = np.concatenate(([1.0], np.sqrt(1.0 - stays**2))) * rng.standard_normal(len(times_s))
+    torque = np.empty(len(times_s))
+    torque[0] = kicks[0]
+    for k, stay in enumerate(stays):
+        torque[k + 1] = stay * torque[k] + kicks[k + 1]
+    return torque_pct * torque

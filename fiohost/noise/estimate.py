@@ -1,0 +1,234 @@
+"""Sensor noise and random torque, estimated from what a model leaves in pieces of steady motion.
+
+The residual of a piece is N(0, sigma_m^2 I + counts + sigma_p^2 H C(tau_d) H'), H the motor from torque to output.
+What the piece's own angle and speed at its beginning can take is projected off: restricted maximum likelihood
+(Patterson and Thompson 1971). The deviance is looked at on a grid, ever closer around its minimum; intervals are where
+its profile stays near that (Wilks 1938).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from fiohost.noise import covariance
+from fiohost.noise.settings import SETTINGS, NoiseSettings
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
+    with the correlation time ``torque_s``. ``deviance`` is -2 log likelihood; ``samples`` are those that it is from.
+    """
+
+    sensor: Ranged
+    torque_pct: Ranged
+    torque_s: Ranged
+    deviance: float = 0.0
+    samples: int = 0
+
+    @property
+    def torque_known(self) -> bool:
+        """Whether there is a torque at all, within what the data can tell."""
+        return self.torque_pct.low > 0.0
+
+
+NONE = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Motor:
+    """The fitted motor as a torque meets it, and the sensor: ``gain`` in the output's unit per percent (of an angle:
+    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples.
+    """
+
+    gain: float
+    tau_s: float
+    kind: int
+    quantum: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """Pieces of one length and motor: what a model leaves of each (n, pieces), in the output's unit."""
+
+    residuals: np.ndarray = field(repr=False)
+    motor: Motor
+
+
+def pieces(
+    residual: np.ndarray,
+    speed: np.ndarray,
+    edges: np.ndarray,
+    motor: Motor,
+    settings: NoiseSettings = SETTINGS,
+) -> list[np.ndarray]:
+    """Pieces of steady motion, of one of the settled lengths each.
+
+    ``residual`` (n) is what windows with free angle and speed leave, ``speed`` (n) the model's in the output's unit per
+    second, ``edges`` (m + 1) those of the windows. Where the model stands, turns or creeps there is no piece: counts do
+    not err at random there, and the shaft may have turned while the model did not.
+    """
+    lengths = sorted({max(round(s / motor.step_s), settings.shortest_samples) for s in settings.lengths_s})
+    slowest = settings.slowest_share * float(np.max(np.abs(speed), initial=0.0))
+    if motor.kind == covariance.ANGLE:
+        slowest = max(slowest, settings.slowest_counts * motor.quantum / motor.step_s)
+    way = np.sign(speed) * (np.abs(speed) > slowest)
+    found = []
+    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        turns = [a, *(a + 1 + np.flatnonzero(np.diff(way[a:b]))).tolist(), b]
+        for first, last in zip(turns[:-1], turns[1:], strict=True):
+            while last - first >= lengths[0] and way[first] != 0.0:
+                n = max(length for length in lengths if length <= last - first)
+                found.append(residual[first : first + n])
+                first += n
+    return found
+
+
+def grouped(parts: Sequence[np.ndarray], motor: Motor) -> list[Group]:
+    """Pieces of one motor by their lengths."""
+    lengths = sorted({len(p) for p in parts})
+    return [Group(np.column_stack([p for p in parts if len(p) == n]), motor) for n in lengths]
+
+
+def _merged(groups: Sequence[Group]) -> list[Group]:
+    """Groups of one length and motor as one."""
+    alike: dict[tuple[int, Motor], list[np.ndarray]] = {}
+    for group in groups:
+        alike.setdefault((len(group.residuals), group.motor), []).append(group.residuals)
+    return [Group(np.column_stack(parts), motor) for (_, motor), parts in alike.items()]
+
+
+@lru_cache(maxsize=256)
+def _torque_part(n: int, motor: Motor, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of pieces of n samples: the basis (n, m) outside their starts, in which the torque's covariance is diagonal, that
+    diagonal (m) for 1 %, and the counts' covariance (m, m) in it.
+    """
+    times, moving = np.arange(n) * motor.step_s, np.full(n, covariance.DRIVEN)
+    free = covariance.outside(covariance.starts(times, moving, motor.tau_s, motor.kind))
+    acts = free.T @ covariance.response(times, moving, motor.gain, motor.tau_s, motor.kind)
+    values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)
+    basis = free @ vectors
+    return basis, np.maximum(values, 0.0), basis.T @ covariance.counts(n, motor.quantum, motor.kind) @ basis
+
+
+@dataclass(frozen=True)
+class _Diagonal:
+    """Pieces in a basis where all covariances are diagonal: variance ``own`` + sigma_p^2 ``torque`` (m) each, squares
+    (m) of what is left summed over ``count`` pieces, and the part of the deviance that no torque changes.
+    """
+
+    own: np.ndarray
+    torque: np.ndarray
+    squares: np.ndarray
+    count: int
+    fixed: float
+
+
+def _diagonal(group: Group, time_s: float, sensor: float) -> _Diagonal:
+    (n, count), motor = group.residuals.shape, group.motor
+    basis, torque, counted = _torque_part(n, motor, time_s)
+    left = basis.T @ group.residuals
+    if motor.kind != covariance.MEAN_SPEED:
+        own = np.full(len(torque), sensor**2 + motor.quantum**2 / 12.0 + 1e-300)
+        return _Diagonal(own, torque, np.sum(left**2, axis=1), count, 0.0)
+    # Counts of a mean speed are not white: made so first, with the sensor's noise.
+    own = np.linalg.cholesky(counted + (sensor**2 + 1e-12 * float(np.trace(counted)) + 1e-300) * np.eye(len(torque)))
+    inverse = np.linalg.inv(own)
+    values, vectors = np.linalg.eigh((inverse * torque) @ inverse.T)
+    squares = np.sum((vectors.T @ inverse @ left) ** 2, axis=1)
+    fixed = 2.0 * count * float(np.log(np.diag(own)).sum())
+    return _Diagonal(np.ones(len(torque)), np.maximum(values, 0.0), squares, count, fixed)
+
+
+def _deviances(groups: Sequence[Group], times_s: np.ndarray, sensors: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    """-2 log likelihood (times, sensors, torques), but for a constant."""
+    found = np.zeros((len(times_s), len(sensors), len(torques)))
+    for i, time_s in enumerate(times_s):
+        for j, sensor in enumerate(sensors):
+            for group in groups:
+                d = _diagonal(group, float(time_s), float(sensor))
+                variance = d.own[None, :] + torques[:, None] ** 2 * d.torque[None, :]
+                found[i, j] += d.fixed + np.sum(d.count * np.log(variance) + d.squares / variance, axis=1)
+    return found
+
+
+def estimate(
+    groups: Sequence[Group],
+    *,
+    sensor: float | None = None,
+    settings: NoiseSettings = SETTINGS,
+) -> Noise:
+    """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
+    groups = _merged(groups)
+    samples = sum(g.residuals.size for g in groups)
+    if samples == 0:
+        return NONE if sensor is None else Noise(Ranged(sensor, sensor, sensor), NONE.torque_pct, NONE.torque_s)
+    rms = float(np.sqrt(sum(float(np.sum(g.residuals**2)) for g in groups) / samples)) + 1e-300
+    times = np.geomspace(*settings.times_s, settings.time_looks)
+    sensors = np.concatenate(([0.0], rms * np.geomspace(*settings.sensor_span, settings.sensor_looks)))
+    sensors = sensors if sensor is None else np.array([sensor])
+    torques = np.concatenate(([0.0], np.geomspace(*settings.torque_span_pct, settings.torque_looks)))
+    axes = [times, sensors, torques]
+    # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
+    for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
+        deviances = _deviances(groups, *axes)
+        for i in closer:
+            axes[i] = _closer(axes[i], _profile(deviances, i), settings)
+    deviances = _deviances(groups, *axes)
+    best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
+    ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
+    time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)
+    return Noise(ranged[1], ranged[2], time, float(deviances.min()), samples)
+
+
+def _profile(deviances: np.ndarray, axis: int) -> np.ndarray:
+    return np.asarray(deviances.min(axis=tuple(i for i in range(deviances.ndim) if i != axis)))
+
+
+def _closer(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> np.ndarray:
+    """The grid (n) drawn anew around what is near the least deviance, a step more on either side."""
+    if len(x) == 1:
+        return x
+    near = np.flatnonzero(profile <= profile.min() + settings.near_deviance)
+    low, high = x[max(near[0] - 1, 0)], x[min(near[-1] + 1, len(x) - 1)]
+    if low > 0.0:
+        return np.asarray(np.geomspace(low, high, len(x)))
+    return np.asarray(np.linspace(0.0, high, len(x)))
+
+
+def _ranged(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> Ranged:
+    """Value and interval from a profile (n): where it crosses its level, between the looks by straight lines."""
+    best, level = int(np.argmin(profile)), float(profile.min()) + settings.interval_deviance
+    if len(x) == 1:
+        return Ranged(float(x[0]), float(x[0]), float(x[0]))
+    value = float(x[best])
+    if 0 < best < len(x) - 1:  # the minimum of the parabola through three looks
+        a, b, c = (float(v) for v in profile[best - 1 : best + 2])
+        left, right = value - float(x[best - 1]), float(x[best + 1]) - value
+        bend = (a - b) / left + (c - b) / right
+        slope = ((c - b) / right * left - (a - b) / left * right) / (left + right)
+        value -= float(np.clip(slope / bend * 0.5 * (left + right), -left, right)) if bend > 0.0 else 0.0
+    inside = profile <= level
+    first, last = int(np.argmax(inside)), len(x) - 1 - int(np.argmax(inside[::-1]))
+    low = float(x[first]) if first == 0 else _crossing(x, profile, first - 1, level)
+    high = float(x[last]) if last == len(x) - 1 else _crossing(x, profile, last, level)
+    return Ranged(value, min(low, value), max(high, value))
+
+
+def _crossing(x: np.ndarray, profile: np.ndarray, i: int, level: float) -> float:
+    share = (level - profile[i]) / (profile[i + 1] - profile[i])
+    return float(x[i] + share * (x[i + 1] - x[i]))

@@ -1,0 +1,143 @@
+"""The noise layer on drawn sets: what it estimates holds the truth, what it whitens is white."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fiohost.noise import covariance
+from fiohost.noise.draw import draw_torque
+from fiohost.noise.estimate import Motor, Noise, Ranged, estimate, grouped, pieces
+from fiohost.noise.quantum import found_quantum
+from fiohost.noise.whiten import Whitener, is_white, unevenness
+
+STEP_S, WINDOW, WINDOWS = 0.005, 200, 50
+
+
+def drawn(
+    rng: np.random.Generator, motor: Motor, sensor: float, torque_pct: float, torque_s: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a true model leaves of noisy readings (n), its speed (n), and the windows' edges."""
+    window, step_s = round(1.0 / motor.step_s), motor.step_s
+    n = window * WINDOWS
+    times, moving = np.arange(n) * step_s, np.ones(window, dtype=bool)
+    acts = covariance.response(times[:window], moving, motor.gain, motor.tau_s, motor.kind)
+    known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(torque_pct, 0.0, 0.0), Ranged(torque_s, 0.0, 0.0))
+    torque = draw_torque(times, known, rng).reshape(WINDOWS, window)
+    speed = np.repeat(rng.uniform(150.0, 700.0, WINDOWS), window)
+    if motor.kind == covariance.ANGLE:
+        true = np.cumsum(speed) * step_s
+        read = true + (torque @ acts.T).ravel() + sensor * rng.standard_normal(n)
+        read = np.floor(read / motor.quantum) * motor.quantum if motor.quantum else read
+    elif motor.kind == covariance.SPEED:
+        true = speed
+        read = speed + (torque @ acts.T).ravel() + sensor * rng.standard_normal(n)
+    else:
+        true, count = speed, motor.quantum * step_s
+        angle = np.floor((np.cumsum(speed) * step_s) / count) * count
+        read = np.diff(angle, prepend=0.0) / step_s + (torque @ acts.T).ravel() + sensor * rng.standard_normal(n)
+    return read - true, speed, np.arange(0, n + 1, window)
+
+
+def drawn_motor(rng: np.random.Generator, kind: int, quantum: float) -> Motor:
+    step_s = 4.0 * STEP_S if kind == covariance.MEAN_SPEED else STEP_S
+    return Motor(rng.uniform(6.0, 16.0), rng.uniform(0.04, 0.15), kind, quantum, step_s)
+
+
+CASES = [
+    (covariance.ANGLE, 0.5, 0.0, 0.0),
+    (covariance.ANGLE, 0.5, 0.5, 0.0),
+    (covariance.ANGLE, 0.5, 1.5, 0.0),
+    (covariance.ANGLE, 0.5, 0.0, 0.5),
+    (covariance.ANGLE, 0.5, 0.0, 1.0),
+    (covariance.ANGLE, 0.5, 0.3, 0.7),
+    (covariance.ANGLE, 0.0, 0.2, 0.4),
+    (covariance.SPEED, 0.0, 3.0, 1.0),
+    (covariance.MEAN_SPEED, 6.0, 2.0, 1.0),
+]
+
+
+def test_intervals_of_the_noise_hold_the_truth_on_nine_sets_of_ten() -> None:
+    rng = np.random.default_rng(20261122)
+    hits, total = dict.fromkeys(("sensor", "torque", "time"), 0), dict.fromkeys(("sensor", "torque", "time"), 0)
+    for kind, quantum, sensor, torque_pct in CASES * 5:
+        torque_s = float(rng.choice((0.1, 0.5)))
+        motor = drawn_motor(rng, kind, quantum)
+        found = estimate(grouped(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor), motor))
+        told = {"sensor": (found.sensor, sensor), "torque": (found.torque_pct, torque_pct)}
+        told |= {"time": (found.torque_s, torque_s)} if torque_pct else {}
+        for name, (ranged, truth) in told.items():
+            total[name] += 1
+            hits[name] += ranged.low <= truth + 1e-12 and truth <= ranged.high
+    print({name: f"{hits[name]} of {total[name]}" for name in hits})
+    assert sum(hits.values()) >= 0.9 * sum(total.values()), (hits, total)
+    assert all(hits[name] >= 0.8 * total[name] for name in hits), (hits, total)
+
+
+def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
+    rng = np.random.default_rng(1)
+    motor = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S)
+    for torque_pct, torque_s in ((0.5, 0.1), (1.0, 0.5)):
+        found = estimate(grouped(pieces(*drawn(rng, motor, 0.104, torque_pct, torque_s), motor), motor))
+        assert found.torque_known
+        assert found.torque_pct.value == pytest.approx(torque_pct, rel=0.15)
+        assert found.sensor.value == pytest.approx(0.104, abs=0.02)
+
+
+def test_declared_sensor_noise_is_taken_as_it_is() -> None:
+    rng = np.random.default_rng(2)
+    motor = drawn_motor(rng, covariance.ANGLE, 0.5)
+    parts = grouped(pieces(*drawn(rng, motor, 0.5, 0.0, 0.1), motor), motor)
+    assert estimate(parts, sensor=0.3).sensor == Ranged(0.3, 0.3, 0.3)
+
+
+def test_nothing_is_estimated_where_nothing_moves() -> None:
+    motor = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S)
+    still = np.zeros(WINDOW * 3)
+    found = pieces(still, still, np.arange(0, 3 * WINDOW + 1, WINDOW), motor)
+    assert found == []
+    assert estimate(grouped(found, motor)).samples == 0
+
+
+def test_whitened_windows_are_white_and_of_unit_variance() -> None:
+    rng = np.random.default_rng(3)
+    motor, noise = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S), Ranged(0.5, 0.5, 0.5)
+    known = Noise(noise, Ranged(1.0, 1.0, 1.0), Ranged(0.3, 0.3, 0.3))
+    draws = []
+    for _ in range(20):
+        residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
+        whitener = Whitener.of(
+            np.arange(len(residual)) * STEP_S, np.ones(len(residual), dtype=bool), edges[:-1], edges[1:], motor, known
+        )
+        white = whitener.apply(residual)
+        assert float(white @ white) == pytest.approx((WINDOW - 2) * WINDOWS, rel=0.05)
+        draws.append(unevenness([white], [edges]))
+    residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
+    assert is_white(unevenness([whitener.apply(residual)], [edges]), draws)
+    wave = 0.3 * np.sin(2.0 * np.pi * 5.0 * np.arange(len(residual)) * STEP_S)
+    assert not is_white(unevenness([whitener.apply(residual + wave)], [edges]), draws)
+
+
+def test_a_window_s_own_start_leaves_nothing_whitened() -> None:
+    motor = Motor(10.0, 0.08, covariance.ANGLE, 0.0, STEP_S)
+    known = Noise(Ranged(0.1, 0.1, 0.1), Ranged(1.0, 1.0, 1.0), Ranged(0.2, 0.2, 0.2))
+    times = np.arange(WINDOW) * STEP_S
+    moving = np.where(
+        np.arange(WINDOW) < 120, covariance.DRIVEN, np.where(np.arange(WINDOW) < 160, covariance.COASTS, 0)
+    )
+    whitener = Whitener.of(times, moving, np.array([0]), np.array([WINDOW]), motor, known)
+    own = covariance.starts(times, moving, motor.tau_s, motor.kind) @ np.array([3.0, 40.0])
+    assert np.abs(whitener.apply(own)).max() < 1e-6 * np.abs(own).max() / 0.1
+
+
+@pytest.mark.parametrize("step", [0.5, 0.087890625, 6.43])
+def test_the_step_of_counts_is_found_in_printed_readings(step: float) -> None:
+    rng = np.random.default_rng(4)
+    read = np.round(np.floor(np.cumsum(rng.uniform(-3.0, 5.0, 4000))) * step, 6)
+    assert found_quantum(read) == pytest.approx(step, rel=1e-4)
+
+
+def test_an_analogue_sensor_has_no_step() -> None:
+    rng = np.random.default_rng(5)
+    assert found_quantum(np.cumsum(rng.standard_normal(4000))) == 0.0
+    assert found_quantum(np.round(rng.standard_normal(4000), 3) * np.pi + rng.choice((0.0, 0.0011), 4000)) == 0.0

@@ -1,0 +1,136 @@
+"""Diagnoses of benches that are not exact: right names, and verdicts that say to what the data are explained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from short_runs import logs_of, multisine, plant_file, random_steps, staircase
+
+from fiohost.bench.log import Log
+from fiohost.circle.evidence import diagnose
+from fiohost.discover.degenerate import believed, degenerate
+from fiohost.discover.diagnose import Diagnosis
+from fiohost.discover.result import to_json
+from fiohost.discover.stage import Stage
+from fiohost.discover.step import Found
+from fiohost.report.words import verdict_sentence
+
+STALL_NM = 0.34 * 9.0 / 5.5  # of plant_file's motor
+LIBRARY = ("constant_load", "cogging_torque", "quadratic_drag", "stribeck_friction", "transport_delay", "backlash")
+RUNS = (staircase(1.0), multisine(8.0), random_steps(8.0))
+
+
+def noisy(log: Log, counts: float, rng: np.random.Generator) -> Log:
+    """A log of a sensor that is noisy by so many counts rms."""
+    columns = {k: v for k, v in log.columns.items() if k not in ("direction", "angle_deg")}
+    columns["pos"] = np.mod(np.floor(log.columns["pos"] + 0.5 + counts * rng.standard_normal(len(log))), 720)
+    return Log.from_columns(columns, log.metadata, log.path)
+
+
+def made(folder: Path, effects: dict[str, dict[str, float | str]], counts: float = 1.0) -> list[Log]:
+    rng = np.random.default_rng(11)
+    return [noisy(log, counts, rng) for log in logs_of(f"sim:{plant_file(folder, effects=effects)}", folder, RUNS)]
+
+
+def run(logs: Sequence[Log], model: str = "linear+coulomb_friction") -> Diagnosis:
+    return diagnose(logs, (), model, library=LIBRARY)
+
+
+def test_a_noisy_bench_that_lacks_nothing_is_explained_to_within_its_noise(tmp_path: Path) -> None:
+    told = to_json(run(made(tmp_path, {})))
+    assert (told["verdict"], told["explained_to"], told["steps"]) == ("no_missing_effect", "noise", [])
+    assert told["residual"]["white"] is True
+    assert told["floor"]["from"] == "noise"
+    sensor = told["noise"]["sensor_rms"]
+    assert sensor["ci95"][0] <= 0.5 * np.sqrt(1.0 + 1.0 / 12.0) <= sensor["ci95"][1]
+    assert told["floor"]["train"]["window_rms"] == pytest.approx(told["after"]["train"]["window_rms"], rel=0.05)
+    assert "to within the noise" in verdict_sentence(told)
+    assert "sensor noise of 0.5" in verdict_sentence(told)
+    assert told["settings"]["search"]["draws"] > 0
+
+
+def test_on_a_noisy_bench_the_effect_that_is_there_is_named(tmp_path: Path) -> None:
+    told = to_json(run(made(tmp_path, {"constant_load": {"torque_Nm": 0.02 * STALL_NM}})))
+    assert [s["effect"] for s in told["steps"]] == ["constant_load"]
+    assert (told["verdict"], told["explained_to"]) == ("explained", "noise")
+    assert told["explained_pct"] > 95.0
+    level = told["final"]["parameters"]["constant_load.level_pct"]
+    assert level["ci95"][0] <= 2.0 <= level["ci95"][1]
+
+
+def test_rows_that_are_missing_are_no_effect(tmp_path: Path) -> None:
+    rng, cut = np.random.default_rng(12), []
+    for log in logs_of(f"sim:{plant_file(tmp_path)}", tmp_path, RUNS):
+        keep = rng.random(len(log)) > 0.03
+        cut.append(Log.from_columns({k: v[keep] for k, v in log.columns.items()}, log.metadata, log.path))
+    told = to_json(run(cut))
+    assert (told["verdict"], told["steps"]) == ("no_missing_effect", [])
+
+
+def test_an_exact_bench_is_explained_to_the_sensor_and_its_residual_is_white(tmp_path: Path) -> None:
+    told = to_json(run(logs_of(f"sim:{plant_file(tmp_path)}", tmp_path, RUNS)))
+    assert (told["verdict"], told["explained_to"]) == ("no_missing_effect", "sensor")
+    assert told["residual"]["white"] is True
+    assert told["floor"]["from"] == "replicas"
+    assert told["noise"]["sensor_rms"]["value"] < 0.1
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Stage, Stage]:
+    """The stages before and after an effect that is there was named."""
+    folder = tmp_path_factory.mktemp("logs")
+    plant = plant_file(folder, effects={"constant_load": {"torque_Nm": 0.02 * STALL_NM}})
+    found = diagnose(logs_of(f"sim:{plant}", folder, RUNS), (), "linear+coulomb_friction", library=LIBRARY)
+    assert [s.effect for s in found.steps] == ["constant_load"]
+    return found.declared, found.final
+
+
+def test_a_fit_that_is_sound_is_believed(stages: tuple[Stage, Stage]) -> None:
+    assert degenerate(*stages) is None
+
+
+def test_a_core_parameter_at_its_bound_is_not_believed(stages: tuple[Stage, Stage]) -> None:
+    before, after = stages
+    bound = after.fit.model.parameter("linear.tau_s").upper
+    fitted = replace(after.fit, model=after.fit.model.with_values({"linear.tau_s": bound}))
+    assert "goes to its bound" in str(degenerate(before, replace(after, fit=fitted)))
+
+
+def test_an_interval_wider_than_its_value_is_not_believed(stages: tuple[Stage, Stage]) -> None:
+    before, after = stages
+    gains = np.geomspace(1e-3, 140.0, len(after.scattered_models))
+    models = [
+        m.with_values({"linear.gain_deg_s_per_pct": float(g)})
+        for m, g in zip(after.scattered_models, gains, strict=True)
+    ]
+    assert "anywhere in" in str(degenerate(before, replace(after, scattered_models=tuple(models))))
+
+
+def test_a_floor_above_the_error_is_not_believed(stages: tuple[Stage, Stage]) -> None:
+    before, after = stages
+    floors = tuple(
+        replace(f, errors=replace(f.errors, window_rms=10.0 * f.errors.window_rms, free_run_rms=10.0))
+        for f in after.floors
+    )
+    assert "the model's own data err" in str(degenerate(before, replace(after, floors=floors)))
+
+
+def test_an_error_that_is_no_lower_is_not_believed(stages: tuple[Stage, Stage]) -> None:
+    _, after = stages
+    assert "no lower" in str(degenerate(after, after))
+
+
+def test_what_the_logs_cannot_show_is_not_named_where_it_leaves_something(tmp_path: Path) -> None:
+    plant = plant_file(tmp_path, effects={"constant_load": {"torque_Nm": 0.02 * STALL_NM}})
+    found = diagnose(logs_of(f"sim:{plant}", tmp_path, RUNS), (), "linear+coulomb_friction", library=("constant_load",))
+    final, hidden = found.final, {"constant_load": "one direction only"}
+    sound = Found((found.declared, final), found.steps, ())
+    assert believed(sound, hidden).steps == found.steps  # it leaves nothing
+    left = tuple(replace(e, value=2.0 * e.allowed) for e in final.excesses)
+    doubted = believed(replace(sound, stages=(found.declared, replace(final, excesses=left))), hidden)
+    assert doubted.steps == ()
+    assert "cannot show" in str(doubted.offered[0].rejected_because)
