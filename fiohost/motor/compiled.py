@@ -92,8 +92,12 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a part of an entry kernel that is called, not repeated wherever it is used."""
-    return numba.njit(error_model="numpy", _nrt=False)(function)
+    """Compile a part of an entry kernel that is called, not repeated wherever it is used.
+
+    It says so, as it would inherit ``forceinline`` from a caller: then the compiler hoists the divisions of rare
+    branches out of the step's loops and does them at every step.
+    """
+    return numba.njit(error_model="numpy", forceinline=False, _nrt=False)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:

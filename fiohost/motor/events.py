@@ -31,7 +31,7 @@ def strain_of(twist, closing, contact, bodies):  # type: ignore[no-untyped-def]
     return stiff * (twist - contact * half_gap) + damp * closing
 
 
-@part
+@inlined
 def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: ignore[no-untyped-def]
     """How far the end of a step is from the nearest event (below 0: beyond it), and which."""
     turn, w, i, s, v = end
@@ -86,7 +86,7 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
     return found, event
 
 
-@inlined
+@part
 def locate(end, found, event, h, motion, forces, bodies, regime, current, place, x, p, on):  # type: ignore[no-untyped-def]
     """The first time within ``h`` just beyond an event, the state there, and which event: a false position that halves
     now and then (Dowell and Jarratt 1971).

@@ -23,7 +23,7 @@ SHORT = 0.5  # of the norm of A t, for which the series is summed
 TERMS = 14
 
 
-@inlined
+@part
 def _swing(dt, tau, lag, ohms):  # type: ignore[no-untyped-def]
     """exp(a dt) cosh(b dt) and exp(a dt) sinh(b dt) / b for the poles a +- b of current and speed."""
     a = -0.5 * ohms / lag
@@ -178,7 +178,7 @@ def two_bodies(  # type: ignore[no-untyped-def]
     return turned, x[ends], flowing, x[ends + 2], x[ends + 3]
 
 
-@part
+@inlined
 def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-def]
     """Angle turned by the motor and speed, current, twist and load speed after ``h`` in a regime."""
     omega, amps, twist, load_omega = motion

@@ -101,6 +101,7 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
         harder = 0.0
         turn, w, i, s, v, h, push = 0.0, omega, amps, twist, load_omega, 0.0, 0.0
         motion, forces = (omega, amps, twist, load_omega), (0.0, 0.0, 0.0)
+        end = (0.0, omega, amps, twist, load_omega)
         regime = (joined, sprung, False, False, True, 0.0, 1.0, contact)
         current, bristled = (inf, 0.0, False), False
         for middle in range(2):
@@ -156,23 +157,22 @@ def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # ty
             current = (until, way, lossy)
             if parts:
                 break
-            if middle == 0 and substep > 0.0:
-                h = 0.5 * dt
-                turn, w, i, s, v = flow(motion, forces, bodies, regime, h, x, HALF)
-                if w * direction < 0.0 and not (bristled and omega == 0.0):
-                    w = 0.0
-                at = time + h
-                if remembering:
-                    carry(x, MIDDLE, turn / h, 0.5 * (push + i), h, p, on)
-                    shift = MIDDLE
-            else:
+            half = middle == 0 and substep > 0.0
+            h = 0.5 * dt if half else dt
+            end = flow(motion, forces, bodies, regime, h, x, HALF if half else WHOLE)
+            if not half:
                 break
+            turn, w, i, s, v = end
+            if w * direction < 0.0 and not (bristled and omega == 0.0):
+                w = 0.0
+            at = time + h
+            if remembering:
+                carry(x, MIDDLE, turn / h, 0.5 * (push + i), h, p, on)
+                shift = MIDDLE
         if parts:
             x[CONTACT] = 0.0
             continue
 
-        h = dt
-        end = flow(motion, forces, bodies, regime, h, x, WHOLE)
         if omega == 0.0 and not stuck and not bristled and end[1] * direction <= 0.0:
             # What holds it grew with its start.
             stuck = True
