@@ -102,7 +102,8 @@ def test_deadband_finds_the_same_edges(name: str, tmp_path: Path) -> None:
     found = []
     for target in (f"emulated:{name}", simulated(name, tmp_path)):
         to = tmp_path / "deadband.json"
-        words = ["deadband", "--target", target, "--repeats", "1", "--json", str(to), "--plot", str(tmp_path / "d.png")]
+        words = ["deadband", "--target", target, "--repeats", "1", "--json", str(to), "--force"]
+        words += ["--plot", str(tmp_path / "d.png")]
         done = CliRunner().invoke(cli, words)
         assert done.exit_code == 0, done.output
         found.append(json.loads(to.read_text()))

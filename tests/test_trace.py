@@ -96,7 +96,7 @@ def test_the_trace_of_a_sealed_board_names_no_plant(tmp_path: Path, monkeypatch:
     with asking(trace=tmp_path / "t.jsonl"), connect("sim:sealed", seed=3) as bench:
         bench.drive(20.0, 0.05)
     head = json.loads((tmp_path / "t.jsonl").read_text().splitlines()[0])
-    assert head["facts"] == {}
+    assert head["facts"] == {"sealed_version": "1"}
     assert (head["target"], head["identity"]) == ("sim:sealed", "simulated, sealed")
 
 

@@ -18,22 +18,25 @@ import numpy as np
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, winds
-from fiohost.motor.state import HELD, SMALLEST_SHARE, STATE_SIZE
+from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, winds
+from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.step import advance
 
 
 @inlined
 def joint_of(p, on):  # type: ignore[no-untyped-def]
-    """What joins the load: kind, share of the inertia, half the gap, stiffness and damping per inertia."""
+    """What joins the load: kind, share of the inertia, half the gap, stiffness, damping, and the whole inertia, in
+    percent of duty, degrees and seconds.
+    """
     share, half_gap, stiff, damp = coupling(p, on)
+    mass = p[TAU] / p[GAIN]
     if share < SMALLEST_SHARE:
-        return RIGID, 0.0, half_gap, 0.0, 0.0
+        return RIGID, 0.0, half_gap, 0.0, 0.0, mass
     if stiff > 0.0:
-        return SPRING, share, half_gap, stiff, damp
+        return SPRING, share, half_gap, stiff * mass, damp * mass, mass
     if half_gap > 0.0:
-        return PLAY, share, half_gap, 0.0, 0.0
-    return RIGID, 0.0, 0.0, 0.0, 0.0
+        return PLAY, share, half_gap, 0.0, 0.0, mass
+    return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
 @compiled
@@ -45,7 +48,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     step.
     """
     late = delay((), p, on)
-    joint, lag, more = joint_of(p, on), winding_lag(p, on), winds(on)
+    joint, lag, has = joint_of(p, on), winding_lag(p, on), (winds(on), remembers(on), ends(on))
     now = times[first]
     change = next_moment(clock + now, p, on) - clock
     j = np.searchsorted(act_times, now - late, side="right")
@@ -62,7 +65,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
             if change < until:
                 until, changes = change, False
             if until > now:
-                advance(state, duty, modes[j], clock + now, until - now, substep, joint, lag, more, p, on)
+                advance(state, duty, modes[j], clock + now, until - now, substep, joint, lag, has, p, on)
             now = until
             if now >= change:
                 change = next_moment(clock + now, p, on) - clock

@@ -36,13 +36,11 @@ from fiohost.motor.hooks import (
     breakaway,
     bristle,
     carry,
-    ends,
     friction,
     inertia,
     jumped,
     load,
     opens,
-    remembers,
     torque,
 )
 from fiohost.motor.state import (
@@ -57,7 +55,6 @@ from fiohost.motor.state import (
     MIDDLE,
     OMEGA,
     STANDBY,
-    TAU,
     THETA,
     WHOLE,
 )
@@ -67,22 +64,24 @@ MOST_STEPS = 400
 
 
 @inlined
-def advance(x, duty, mode, time, span, substep, joint, lag, winds, p, on):  # type: ignore[no-untyped-def]
-    """Carry the motor over a span of constant command. ``joint`` is what joins the load: its kind, the share of the
-    inertia, half the gap, stiffness and damping per inertia; ``winds`` says that the winding is more than a resistance.
+def advance(x, duty, mode, time, span, substep, joint, lag, has, p, on):  # type: ignore[no-untyped-def]
+    """Carry the motor over a span of constant command. ``joint`` is what joins the load, as ``kernel.joint_of`` says;
+    ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
     """
-    kind, share, half_gap, stiff, damp = joint
+    kind, share, half_gap, stiff, damp, usual_mass = joint
     gain = p[GAIN]
-    stiff, damp = stiff * p[TAU] / gain, damp * p[TAU] / gain
-    if mode == DRIVE and duty == 0.0 and opens(on):
-        mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
-    remembering, ending, lossy = remembers(on), ends(on), loses(mode, p, on)
+    winds, remembering, ending = has
+    lossy = False
+    if winds:
+        if mode == DRIVE and duty == 0.0 and opens(on):
+            mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
+        lossy = loses(mode, p, on)
     left, released = span, False
     for k in range(MOST_STEPS):
         if left <= 0.0:
             break
         theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
-        mass = p[TAU] / gain * inertia(1.0, (time,), p, on)
+        mass = usual_mass * inertia(1.0, (time,), p, on)
         bodies = (gain, mass, mass * (1.0 - share), mass * share, stiff, damp, half_gap)
         own, other = bodies[2], bodies[3]
         joined = kind == RIGID or (kind == PLAY and contact != 0.0)
