@@ -131,7 +131,7 @@ CLOSED = (
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "needs"),
+        ("", "is empty"),
         (OPEN + CLOSED, "one of them"),
         (CLOSED.split("[controller]")[0], "goes with"),
         (OPEN + '[controller]\nkind = "p"\nkp_pct_per_deg = 1.0\n', "goes with"),

@@ -72,7 +72,7 @@ def test_the_floor_of_a_mean_speed_is_that_of_two_readings(later: Diagnosis) -> 
 
 def test_the_later_firmware_shows_as_a_delay_and_the_earlier_has_none(later: Diagnosis, days: dict[str, Path]) -> None:
     told, earlier = to_json(later), to_json(one_way(days, "08-11", "08-14"))
-    assert [s["effect"] for s in told["steps"]] == ["coulomb_friction", "transport_delay"]
+    assert sorted(s["effect"] for s in told["steps"]) == ["coulomb_friction", "transport_delay"]
     delay = told["final"]["parameters"]["transport_delay.delay_s"]
     assert 0.004 < delay["value"] < 0.02, delay
     assert told["after"]["holdout"]["window_rms"] < 0.6 * told["before"]["holdout"]["window_rms"]

@@ -295,7 +295,7 @@ def test_a_malformed_file_is_refused_in_one_sentence(tmp_path: Path, fault: str)
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("duty,speed\n10,fast\n20,200\n", "'fast' is not a finite number"),
+        ("duty,speed\n10,fast\n20,200\n", "'fast' is not a number"),
         ("duty,speed\n10,\n20,200\n", "none of the figures is there"),
         ("duty,speed\n10\n20,200\n", "1 cells under 2 column names"),
         ("duty,speed,speed\n10,1,1\n", "columns named 'speed'"),

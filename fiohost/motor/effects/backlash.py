@@ -12,8 +12,8 @@ def _trial(gap_deg: float, side: str, share: float) -> Mapping[str, Value]:
 
 
 def coupling(q):  # type: ignore[no-untyped-def]
-    """A rigid contact: half the gap, and the share of the inertia beyond it."""
-    return q[2], 0.5 * q[0], 0.0, 0.0
+    """A rigid contact: half the gap, and the share of the inertia beyond it; without a gap there is no second body."""
+    return (q[2] if q[0] > 0.0 else 0.0), 0.5 * q[0], 0.0, 0.0
 
 
 EFFECTS = (
