@@ -108,8 +108,9 @@ def test_twice_its_limit_an_effect_shows_and_a_fifth_of_it_does_not(name: str, t
     assert limit.value is not None
     stall_nm_per_pct = 1.0 / load_plant(MEASURED.plant).percent_of_torque(1.0)
     small, large = (ON_THE_BOARD[name](factor * limit.value, limit.at, stall_nm_per_pct) for factor in (0.2, 2.0))
-    # Bounds come from few replicas, so that a figure may stand a few percent above its own by chance.
-    assert over_bound(run(tmp_path, name, small), clean) < 1.05
+    # Bounds come from few replicas, so that a figure may stand a fifth above its own by chance: some samples that a
+    # creeping shaft leaves outside their counts.
+    assert over_bound(run(tmp_path, name, small), clean) < 1.2
     assert over_bound(run(tmp_path, name, large), clean) > 1.5
 
 

@@ -125,6 +125,7 @@ def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
         "asymmetric_coulomb_friction.reverse_pct": 3.5,
         "friction_warm_up.ratio": 0.6,
         "friction_warm_up.time_constant_s": 15.0,
+        "friction_warm_up.follows": "time",
     }
     records = suite(truth_model(("asymmetric_coulomb_friction", "friction_warm_up"), values), 11, 15.0)
     said: list[str] = []

@@ -17,8 +17,10 @@ SCHEMA = "fiohost.model/1"
 # What the numbers of a model are in, and those of its file; on a linear axis files say metres.
 DEGREES, MILLIMETRES, METRES = "deg", "mm", "m"
 MM_PER_M = 1000.0
-# What depends on the state is frozen for no more than this part of the mechanical time constant.
+# What depends on the state is frozen for no more than this part of the mechanical time constant; a faster motor than that
+# of the shortest step follows at once.
 STEPS_A_LAG = 16.0
+SHORTEST_STEP_S = 1e-3
 # The frequency of the PWM where nothing says another.
 PWM_HZ = 20000.0
 LOWEST_PWM_HZ, HIGHEST_PWM_HZ = 10.0, 1e6
@@ -212,7 +214,7 @@ class Model:
     def substep_s(self) -> float:
         """Longest step of the kernel in s, 0 where each hold is one exact step."""
         steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
-        return min([*steps, self.number("linear.tau_s") / STEPS_A_LAG]) if steps else 0.0
+        return min([*steps, max(self.number("linear.tau_s") / STEPS_A_LAG, SHORTEST_STEP_S)]) if steps else 0.0
 
 
 def _scaled(values: Mapping[str, Value], factor: float) -> dict[str, Value]:
