@@ -17,8 +17,8 @@ SCHEMA = "fiohost.model/1"
 # What the numbers of a model are in, and those of its file; on a linear axis files say metres.
 DEGREES, MILLIMETRES, METRES = "deg", "mm", "m"
 MM_PER_M = 1000.0
-# What depends on the state is frozen for no more than this part of the mechanical time constant; a faster motor than that
-# of the shortest step follows at once.
+# What depends on the state is frozen for no more than this part of the mechanical time constant, but a motor that is
+# faster than the shortest step follows at once.
 STEPS_A_LAG = 16.0
 SHORTEST_STEP_S = 1e-3
 # The frequency of the PWM where nothing says another.
