@@ -218,7 +218,7 @@ class Bench:
     def _set_guardian(self) -> None:
         """A guardian for the line as it is open now. Raises HostError."""
         way = self.transport.way
-        if way == self._guarded:
+        if way == self._guarded and (way is None or self._line.guardian is not None):
             return
         if self._guardian is not None:
             self._guardian.close()

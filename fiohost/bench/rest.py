@@ -111,6 +111,10 @@ def braked_after(line: Line, stop: StopSignals, reconnect_s: float) -> Iterator[
         except MotorRunningError as failed:
             exc.add_note(str(failed))
         except Exception as failed:  # of whatever kind: it must not hide that the motor may be running
+            if line.guardian is not None:
+                # It may still reach the board. Then its copy of a dead line would keep that from coming back by its name.
+                line.guardian.close(braked=False)
+                line.guardian = None
             exc.add_note(
                 cable.brake_when_back(
                     line.transport, lambda: brake(line), failed, line.clock, reconnect_s, lambda: bool(stop.requested)

@@ -64,7 +64,8 @@ def fiohost(line: Line | None, *arguments: str, framed: bool = False) -> Child:
         main(list(words))
 
     target = [] if line is None else ["--target", line.framed if framed else line.target]
-    return Child("fiohost", run, [*arguments, "--force", *target])  # steps share their files
+    over = [] if line is None else ["--force"]  # steps share their files
+    return Child("fiohost", run, [*arguments, *over, *target])
 
 
 @dataclass(frozen=True)
