@@ -112,7 +112,7 @@ def braked_after(line: Line, stop: StopSignals, reconnect_s: float) -> Iterator[
             exc.add_note(str(failed))
         except Exception as failed:  # of whatever kind: it must not hide that the motor may be running
             if line.guardian is not None:
-                # It may still reach the board. Then its copy of a dead line would keep that from coming back by its name.
+                # It may still reach the board. Then it goes: a copy of a dead line keeps the board's name taken.
                 line.guardian.close(braked=False)
                 line.guardian = None
             exc.add_note(
