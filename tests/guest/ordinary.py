@@ -7,7 +7,8 @@ import json
 from children import Child, check
 from ends import WORK, Line, fiohost, read_log
 
-TIMING = ("half a tick", "reports come every", "reports were lost")  # findings that speak of the emulation
+# Findings that speak of the emulation.
+TIMING = ("half a tick", "reports come every", "reports were lost", "answered late")
 CLOSED_LOOP = WORK / "closed.toml"
 EXPERIMENT = """schema = "fiohost.experiment/1"
 title = "P control of a square wave 60/300 deg"
