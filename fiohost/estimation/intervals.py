@@ -113,6 +113,8 @@ def estimates(fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0) -> d
 def _turns_with_zero(model: Model, name: str) -> float:
     """By how much a parameter moves for each degree that the zero of angle moves: places and phases do."""
     of, parameter = effect(name.partition(".")[0]), model.parameter(name)
+    if parameter.order is not None:
+        return float(abs(parameter.order))
     if not of.angle_bound or parameter.neutral is not None or not parameter.unit.startswith("deg"):
         return 0.0
     order = next((q for q in of.parameters if q.whole), None)

@@ -34,19 +34,26 @@ END_SLACK_COUNTS = 3.0
 
 
 @cache
-def phase_slots(name: str) -> tuple[tuple[int, int], ...]:
-    """Where in the parameter array an effect keeps its phase and the order that goes with it (-1: once a turn)."""
-    parameters = effect(name).parameters
-    order = next((slot(f"{name}.{q.name}") for q in parameters if q.whole), -1)
-    return tuple((slot(f"{name}.{q.name}"), order) for q in parameters if q.period is not None)
+def phase_slots(name: str) -> tuple[tuple[int, int, int], ...]:
+    """Where in the parameter array an effect keeps what moves with the zero of angle, where the order that goes with it
+    (-1: nowhere), and how many times it moves then.
+    """
+    item = effect(name)
+    if not item.angle_bound:
+        return ()
+    order = next((slot(f"{name}.{q.name}") for q in item.parameters if q.whole), -1)
+    moving = [q for q in item.parameters if q.order is not None or q.period is not None]
+    return tuple(
+        (slot(f"{name}.{q.name}"), order if q.order is None else -1, 1 if q.order is None else q.order) for q in moving
+    )
 
 
 @dataclass(frozen=True)
 class Flat:
     """A model as the kernel takes it: parameter array, switches, step, and what of it matters for initial states.
 
-    ``phases`` are the slots of phases and orders of what is bound to the angle; ``zero`` is where on the bench's turn
-    the angle is zero that they are written for.
+    ``phases`` are the slots of phases and orders of what is bound to the angle, and how often they count; ``zero`` is
+    where on the bench's turn the angle is zero that they are written for.
     """
 
     p: np.ndarray
@@ -56,7 +63,7 @@ class Flat:
     bends: bool
     gap: bool
     warms: bool
-    phases: tuple[tuple[int, int], ...] = ()
+    phases: tuple[tuple[int, int, int], ...] = ()
     zero: float = 0.0
 
     @classmethod
@@ -79,7 +86,11 @@ class Flat:
 
     def orders(self) -> list[int]:
         """How often a turn everything repeats that is bound to the angle."""
-        return [round(float(self.p[order])) if order >= 0 else 1 for _, order in self.phases]
+        return [abs(turns) for turns in self._turns()]
+
+    def _turns(self) -> list[int]:
+        """By how many degrees each phase moves with a degree of the zero of angle."""
+        return [factor * (round(float(self.p[order])) if order >= 0 else 1) for _, order, factor in self.phases]
 
     def from_zero(self, zero: float | None) -> Flat:
         """The same model for angles counted from another zero of the bench's turn, in degrees; None: the bench's."""
@@ -87,8 +98,8 @@ class Flat:
         if turn == 0.0 or not self.phases:
             return self
         p = self.p.copy()
-        for (phase, _), order in zip(self.phases, self.orders(), strict=True):
-            p[phase] += order * turn
+        for (phase, _, _), turns in zip(self.phases, self._turns(), strict=True):
+            p[phase] += turns * turn
         return replace(self, p=p, zero=zero or 0.0)
 
 

@@ -7,7 +7,7 @@ angle). Gauss-Newton with one finite difference for the speed, and one for the a
 from __future__ import annotations
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.motor.hooks import jumped, measure
+from fiohost.motor.hooks import jumped, measure, measure_speed
 from fiohost.motor.kernel import simulate
 from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
 
@@ -27,9 +27,10 @@ def output(times, states, first, count, kind, seen, p, on, y):  # type: ignore[n
         if kind == ANGLE:
             y[i] = measure(states[i, seen], (), p, on)
         elif kind == SPEED or i == 0:
-            y[i] = states[i, rate]
+            y[i] = measure_speed(states[i, rate], (), p, on)
         else:
-            y[i] = (states[i, seen] - states[i - 1, seen]) / (times[first + i] - times[first + i - 1])
+            mean = (states[i, seen] - states[i - 1, seen]) / (times[first + i] - times[first + i - 1])
+            y[i] = measure_speed(mean, (), p, on)
 
 
 @compiled

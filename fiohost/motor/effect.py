@@ -7,12 +7,14 @@ On the drive, in percent of full duty or of the current that it drives through a
 
 ``command(duty_pct, period_s, q)``
     the duty that really acts, a static map; ``period_s`` is that of the PWM.
-``voltage(volts_pct, duty_pct, time_s, q)``
+``voltage(volts_pct, duty_pct, time_s, z, q)``
     the voltage while a pulse is on, as a share of the supply times the duty.
 ``resistance(ohms, duty_pct, z, q)``
     resistance of the circuit, in those of the cold winding.
 ``drop(lost_pct, q)``, ``ceiling(most_pct, q)``, ``lag(q)``
     voltage lost against the current, greatest current, and L/R in seconds. All three act on the instant current.
+``coasts(q)``
+    for a bridge that is open between pulses: L/R over the period of the PWM, as the averaged current needs no more.
 
 On the shaft, torques in percent of duty, the sign that of the motion which they help:
 
@@ -40,8 +42,8 @@ In time, and at the sensor:
     of the effect's own state ``z``: the pair ``(source, decay)`` of ``dz/dt = source - decay z``, carried exactly.
 ``moment(q)``, ``delay(q)``
     a moment on the bench's clock at which the plant changes, and dead time, in seconds.
-``measure(theta_deg, q)``
-    the angle that the encoder shows.
+``measure(theta_deg, q)``, ``measure_speed(omega_deg_s, q)``
+    the angle that the encoder shows, and the speed that a sensor of speed does.
 
 ``q`` is the array of the effect's own parameters in their declared order.
 """
@@ -53,12 +55,34 @@ import math
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cache
 
 from fiohost.errors import ModelError
 from fiohost.settings import nearest
 
 Value = float | str
+
+
+class Kind(StrEnum):
+    """What a parameter is, and so how it is found.
+
+    A size vanishes at the neutral value and the error is smooth in it; a shape says what the effect is like where it
+    has a size. A phase belongs to an order or a frequency. An order is a whole number, a choice a word: both are found
+    by trying. An event is a moment or place, a threshold a level, at which the error may jump: they are searched. A
+    place says where a curve is laid: it is given, never estimated.
+    """
+
+    SIZE = "size"
+    SHAPE = "shape"
+    PHASE = "phase"
+    ORDER = "order"
+    CHOICE = "choice"
+    EVENT = "event"
+    THRESHOLD = "threshold"
+    PLACE = "place"
+
+
 Hook = Callable[..., float]
 Hook2 = Callable[..., tuple[float, float]]
 Hook4 = Callable[..., tuple[float, float, float, float]]
@@ -70,7 +94,9 @@ class Parameter:
 
     ``neutral`` is the value at which the effect vanishes (None where the effect has none, as for a phase);
     ``ragged`` says that the cost is no smooth function of it, so that it is searched, not only followed downhill;
-    ``step`` is the finite-difference step, relative to the value where ``relative_step`` is set.
+    ``step`` is the finite-difference step, relative to the value where ``relative_step`` is set. ``special`` is the
+    kind where the rest does not tell it. ``order`` is how many times a parameter moves with the zero of angle, where
+    the effect has no parameter that says so.
     """
 
     name: str
@@ -85,6 +111,23 @@ class Parameter:
     period: float | None = None
     whole: bool = False
     ragged: bool = False
+    special: Kind | None = None
+    order: int | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """What it is, and so how it is found."""
+        if self.special is not None:
+            return self.special
+        if self.choices:
+            return Kind.CHOICE
+        if self.whole:
+            return Kind.ORDER
+        if self.ragged:
+            return Kind.THRESHOLD
+        if self.period is not None:
+            return Kind.PHASE
+        return Kind.SHAPE if self.neutral is None else Kind.SIZE
 
     @property
     def is_choice(self) -> bool:
@@ -92,8 +135,8 @@ class Parameter:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether a gradient means anything: neither a choice nor a whole number, which are found by trying."""
-        return not self.choices and not self.whole
+        """Whether a gradient means anything: not for a choice or a whole number, found by trying, or a place."""
+        return self.kind not in (Kind.CHOICE, Kind.ORDER, Kind.PLACE)
 
     @property
     def is_length(self) -> bool:
@@ -138,7 +181,8 @@ class Effect:
     it is tried, so that one record is enough; ``warms`` what hangs on how warm the bench began, ``clocked`` what hangs
     on the bench's own time, from one log to the next. ``trials_for`` makes trials that depend on what the data cover.
     ``substep_s`` is the longest step over which the effect may be frozen; ``opens`` says that the bridge is open, not
-    shorted, between pulses.
+    shorted, between pulses. ``unnamed`` is a general curve, for what no name fits; ``drives`` says that the effect may
+    bring energy of its own, as a weight or a clock does.
     """
 
     name: str
@@ -162,12 +206,15 @@ class Effect:
     warms: bool = False
     clocked: bool = False
     opens: bool = False
+    unnamed: bool = False
+    drives: bool = False
     command: Hook | None = field(default=None, repr=False)
     voltage: Hook | None = field(default=None, repr=False)
     resistance: Hook | None = field(default=None, repr=False)
     drop: Hook | None = field(default=None, repr=False)
     ceiling: Hook | None = field(default=None, repr=False)
     lag: Hook | None = field(default=None, repr=False)
+    coasts: Hook | None = field(default=None, repr=False)
     torque: Hook | None = field(default=None, repr=False)
     load: Hook | None = field(default=None, repr=False)
     friction: Hook | None = field(default=None, repr=False)
@@ -182,6 +229,7 @@ class Effect:
     moment: Hook | None = field(default=None, repr=False)
     delay: Hook | None = field(default=None, repr=False)
     measure: Hook | None = field(default=None, repr=False)
+    measure_speed: Hook | None = field(default=None, repr=False)
 
     @property
     def remembers(self) -> bool:

@@ -6,17 +6,17 @@ there. While a pulse is on ``u`` is the supply and ``l`` what the bridge drops; 
 ``u = 0`` and the same drop, an open one the whole supply as a loss. While the current neither ceases nor meets its
 limit the circuit is linear and its mean follows the mean voltage, whatever the ripple (Middlebrook and Cuk 1976);
 elsewhere the periodic current is followed piece by piece over one period. Without lag there is no ripple: such a
-winding knows means alone.
+winding knows means alone, but for a bridge that coasts, whose mean has a closed form of its own.
 
 Voltages in percent of the supply, currents in percent of the stalled motor's at full duty.
 """
 
 from __future__ import annotations
 
-from math import copysign, exp, inf, log
+from math import copysign, exp, expm1, inf, log, log1p
 
 from fiohost.motor.compiled import inlined, part, sign
-from fiohost.motor.hooks import PERIOD, ceiling, drop, lag, opens, resistance, voltage
+from fiohost.motor.hooks import PERIOD, ceiling, coasts, drop, lag, opens, resistance, voltage
 from fiohost.motor.state import DRIVE, GAIN, SMALLEST_LAG_S, STANDBY
 
 SUPPLY = 100.0
@@ -87,6 +87,32 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
 
 
 @inlined
+def coasting(volts, emf, share, lost, ohms, most, periods):  # type: ignore[no-untyped-def]
+    """Mean current of a bridge that is open between pulses, each period beginning where the last one's current ceased,
+    or never does; ``periods`` is L/R of the cold winding over the period.
+
+    With ``up = V - e - l``, ``down = V + e + l`` and ``a = periods / ohms`` it rises to ``up (1 - exp(-share / a))``,
+    or to its limit, and falls from that peak for ``a ln(1 + peak / down)`` of a period. The mean is ``share up - down
+    fall``: ``share up`` where the winding is fast.
+    """
+    way = 1.0 if volts > 0.0 else -1.0
+    emf *= way
+    up, down = abs(volts) - emf - lost, abs(volts) + emf + lost
+    if up <= 0.0:  # faster than the supply: it brakes through the diodes all the time, if against more than the loss
+        return way * max(min(up + 2.0 * lost, 0.0) / ohms, -most)
+    a = periods / ohms
+    rises, fall, limit = share, 1.0, most * ohms
+    if limit < up:
+        rises = min(share, -a * log1p(-limit / up))
+    if down > 0.0:
+        peak = -up * expm1(-rises / a) if a > 0.0 else up
+        fall = a * log1p(peak / down)
+    if fall >= 1.0 - share:
+        return way * min((share * up - (1.0 - share) * down) / ohms, most)
+    return way * (rises * up - down * fall + ((share - rises) * limit if rises < share else 0.0)) / ohms
+
+
+@inlined
 def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
     """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
     voltages under which a current along and against the motion's sign flows, and the resistance.
@@ -100,12 +126,16 @@ def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ign
     if mode == STANDBY:
         share, pause = 0.0, SUPPLY + lost
     elif share > 0.0:
-        on_volts = voltage(duty, (duty, time), p, on) / share
+        on_volts = voltage(duty, (duty, time), x, shift, p, on) / share
         if opens(on):
             pause += abs(on_volts)
     along = share * (on_volts - lost) - (1.0 - share) * pause
     against = share * (on_volts + lost) + (1.0 - share) * pause
     ripple = 0.0
+    if lag_s == 0.0 and share > 0.0 and mode != STANDBY:
+        periods = coasts((), p, on)
+        if periods >= 0.0:
+            return coasting(on_volts, emf, share, lost, ohms, most, periods), True, along, against, ohms
     if lag_s > 0.0:
         ripple = (abs(on_volts) + pause - lost) * share * (1.0 - share) * p[PERIOD] / lag_s
     up, down = (along - emf) / ohms, (against - emf) / ohms

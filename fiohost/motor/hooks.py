@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import exp, inf, nan
+from types import FunctionType
 from typing import Any
 
-from fiohost.motor.compiled import inlined
+from fiohost.motor.compiled import inlined, part
 from fiohost.motor.effect import Effect, effects, layout
 
 EFFECT_INDEX = {name: i for i, name in enumerate(effects())}
@@ -28,6 +29,20 @@ def having(*kinds: str) -> list[Effect]:
     return sorted(found, key=lambda e: (e.stage, e.name))
 
 
+def hook(function: Any) -> Any:
+    """An effect's hook, compiled with the plain functions of its own module that it calls."""
+    return inlined(_with_helpers(function))
+
+
+def _with_helpers(function: Any) -> Any:
+    known = function.__globals__
+    called = {name: known[name] for name in function.__code__.co_names if isinstance(known.get(name), FunctionType)}
+    own = {n: part(_with_helpers(f)) for n, f in called.items() if f.__module__ == function.__module__}
+    if not own:
+        return function
+    return FunctionType(function.__code__, {**known, **own}, function.__name__, None, function.__closure__)
+
+
 def _places(item: Effect) -> tuple[int, int, int]:
     first = layout()[item.name]
     return EFFECT_INDEX[item.name], first, first + len(item.parameters)
@@ -40,18 +55,18 @@ def _folded(kind: str) -> Any:
     def total(value, args, p, on):  # type: ignore[no-untyped-def]
         return value
 
-    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(value, args, p, on):  # type: ignore[no-untyped-def]
             value = before(value, args, p, on)
             if on[index]:
-                value = hook(value, *args, p[first:last])
+                value = act(value, *args, p[first:last])
             return value
 
         return chained
 
     for item in having(kind):
-        total = link(total, inlined(getattr(item, kind)), *_places(item))
+        total = link(total, hook(getattr(item, kind)), *_places(item))
     return total
 
 
@@ -62,19 +77,19 @@ def _with_state(kind: str) -> Any:
     def total(value, args, x, shift, p, on):  # type: ignore[no-untyped-def]
         return value
 
-    def link(before: Any, hook: Any, slot: int, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, slot: int, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(value, args, x, shift, p, on):  # type: ignore[no-untyped-def]
             value = before(value, args, x, shift, p, on)
             if on[index]:
                 own = x[slot + shift] if slot else 0.0
-                value = hook(value, *args, own, p[first:last])
+                value = act(value, *args, own, p[first:last])
             return value
 
         return chained
 
     for item in having(kind):
-        total = link(total, inlined(getattr(item, kind)), OWN.get(item.name, 0), *_places(item))
+        total = link(total, hook(getattr(item, kind)), OWN.get(item.name, 0), *_places(item))
     return total
 
 
@@ -86,18 +101,18 @@ def _joined(kind: str, start: float, join: Callable[[float, float], float]) -> A
     def total(args, p, on):  # type: ignore[no-untyped-def]
         return start
 
-    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(args, p, on):  # type: ignore[no-untyped-def]
             value = before(args, p, on)
             if on[index]:
-                value = join(value, hook(*args, p[first:last]))
+                value = join(value, act(*args, p[first:last]))
             return value
 
         return chained
 
     for item in having(kind):
-        total = link(total, inlined(getattr(item, kind)), *_places(item))
+        total = link(total, hook(getattr(item, kind)), *_places(item))
     return total
 
 
@@ -106,12 +121,12 @@ def _coupled() -> Any:
     def total(p, on):  # type: ignore[no-untyped-def]
         return 0.0, 0.0, 0.0, 0.0
 
-    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(p, on):  # type: ignore[no-untyped-def]
             share, half, stiff, damp = before(p, on)
             if on[index]:
-                r, h, pulse, ratio = hook(p[first:last])
+                r, h, pulse, ratio = act(p[first:last])
                 both = r * (1.0 - r)
                 share, half = max(share, r), max(half, h)
                 stiff, damp = stiff + both * pulse * pulse, damp + 2.0 * both * ratio * pulse
@@ -120,7 +135,7 @@ def _coupled() -> Any:
         return chained
 
     for item in having("coupling"):
-        total = link(total, inlined(item.coupling), *_places(item))  # type: ignore[arg-type]
+        total = link(total, hook(item.coupling), *_places(item))
     return total
 
 
@@ -142,7 +157,7 @@ def _jumped() -> Any:
         return chained
 
     for item in having("jump"):
-        total = link(total, inlined(item.event), inlined(item.jump), *_places(item))  # type: ignore[arg-type]
+        total = link(total, hook(item.event), hook(item.jump), *_places(item))
     return total
 
 
@@ -153,12 +168,12 @@ def _carried() -> Any:
     def total(x, to, omega, amps, dt, p, on):  # type: ignore[no-untyped-def]
         return None
 
-    def link(before: Any, hook: Any, slot: int, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, slot: int, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(x, to, omega, amps, dt, p, on):  # type: ignore[no-untyped-def]
             before(x, to, omega, amps, dt, p, on)
             if on[index]:
-                source, decay = hook(x[slot], omega, amps, p[first:last])
+                source, decay = act(x[slot], omega, amps, p[first:last])
                 if abs(decay) * dt < 1e-9:
                     x[slot + to] = x[slot] + (source - decay * x[slot]) * dt
                 else:
@@ -167,7 +182,7 @@ def _carried() -> Any:
         return chained
 
     for item in having("rate"):
-        total = link(total, inlined(item.rate), OWN[item.name], *_places(item))  # type: ignore[arg-type]
+        total = link(total, hook(item.rate), OWN[item.name], *_places(item))
     return total
 
 
@@ -202,15 +217,17 @@ def _either(a: bool, b: bool) -> bool:
 
 
 command = _folded("command")
-voltage = _folded("voltage")
 inertia = _folded("inertia")
 measure = _folded("measure")
+measure_speed = _folded("measure_speed")
+voltage = _with_state("voltage")
 resistance = _with_state("resistance")
 friction = _with_state("friction")
 bristle = _with_state("bristle")
 drop = _joined("drop", 0.0, _sum)
 ceiling = _joined("ceiling", inf, _least)
 lag = _joined("lag", 0.0, _largest)
+coasts = _joined("coasts", -1.0, _largest)
 torque = _joined("torque", 0.0, _sum)
 load = _joined("load", 0.0, _sum)
 breakaway = _joined("breakaway", 0.0, _sum)
@@ -222,7 +239,7 @@ jumped = _jumped()
 carry = _carried()
 opens = _any("opens")
 remembers = _any("rate")
-winds = _any("resistance", "drop", "ceiling", "lag", "opens", "voltage")
+winds = _any("resistance", "drop", "ceiling", "lag", "coasts", "opens", "voltage")
 ends = _any("event")
 
 
@@ -233,12 +250,12 @@ def _moments() -> Any:
     def total(now, p, on):  # type: ignore[no-untyped-def]
         return inf
 
-    def link(before: Any, hook: Any, index: int, first: int, last: int) -> Any:
+    def link(before: Any, act: Any, index: int, first: int, last: int) -> Any:
         @inlined
         def chained(now, p, on):  # type: ignore[no-untyped-def]
             found = before(now, p, on)
             if on[index]:
-                at = hook(p[first:last])
+                at = act(p[first:last])
                 if at > now:
                     found = min(found, at)
             return found
@@ -246,7 +263,7 @@ def _moments() -> Any:
         return chained
 
     for item in having("moment"):
-        total = link(total, inlined(item.moment), *_places(item))  # type: ignore[arg-type]
+        total = link(total, hook(item.moment), *_places(item))
     return total
 
 

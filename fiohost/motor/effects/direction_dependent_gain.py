@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def voltage(volts_pct, duty_pct, time_s, q):  # type: ignore[no-untyped-def]
+def voltage(volts_pct, duty_pct, time_s, z, q):  # type: ignore[no-untyped-def]
     return volts_pct if duty_pct > 0.0 else volts_pct * q[0]
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from fiohost.motor.effect import Effect, Parameter, Span, Value
+from fiohost.motor.effect import Effect, Kind, Parameter, Span, Value
 
 
 def trials_for(span: Span) -> tuple[Mapping[str, Value], ...]:
@@ -32,7 +32,7 @@ EFFECTS = (
         angle_bound=True,
         shown=True,
         signature="speed falls to zero at one angle, whatever the drive",
-        parameters=(Parameter("angle_deg", "deg", 720.0, -1e6, 1e6, neutral=None, step=0.05),),
+        parameters=(Parameter("angle_deg", "deg", 720.0, -1e6, 1e6, neutral=None, step=0.05, special=Kind.EVENT),),
         trials_for=trials_for,
         source="End stops of arms and lifts",
         event=event,

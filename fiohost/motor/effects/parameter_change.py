@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from fiohost.motor.effect import Effect, Parameter, Span, Value
+from fiohost.motor.effect import Effect, Kind, Parameter, Span, Value
 
 MOMENTS = 24
 WHICH = ("inertia", "friction", "gain")
@@ -18,7 +18,7 @@ def friction(level, theta_deg, omega_deg_s, time_s, drive_pct, direction, z, q):
     return level * q[2] if q[1] == FRICTION and time_s >= q[0] - SAME_TIME_S else level
 
 
-def voltage(volts_pct, duty_pct, time_s, q):  # type: ignore[no-untyped-def]
+def voltage(volts_pct, duty_pct, time_s, z, q):  # type: ignore[no-untyped-def]
     """A gain's change scales what drives, not what the shaft gives back."""
     return volts_pct * q[2] if q[1] == GAIN and time_s >= q[0] - SAME_TIME_S else volts_pct
 
@@ -42,7 +42,7 @@ EFFECTS = (
         acts_on="structure",
         signature="one model before a moment, another after it",
         parameters=(
-            Parameter("time_s", "s", 10.0, 0.0, 1e6, neutral=None, step=5e-3, ragged=True),
+            Parameter("time_s", "s", 10.0, 0.0, 1e6, neutral=None, step=5e-3, ragged=True, special=Kind.EVENT),
             Parameter("which", "", "inertia", neutral=None, choices=WHICH),
             Parameter("ratio", "", 1.3, 0.02, 50.0, neutral=1.0, step=1e-4),
         ),

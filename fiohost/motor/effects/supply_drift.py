@@ -3,7 +3,7 @@
 from fiohost.motor.effect import Effect, Parameter
 
 
-def voltage(volts_pct, duty_pct, time_s, q):  # type: ignore[no-untyped-def]
+def voltage(volts_pct, duty_pct, time_s, z, q):  # type: ignore[no-untyped-def]
     return volts_pct * max(1.0 + q[0] * time_s * 1e-4, 0.0)
 
 
