@@ -9,7 +9,6 @@ off goes on where it was; ``--page`` writes docs/agreement.md from them.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import multiprocessing
 import subprocess
@@ -22,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 sys.path.insert(0, str(ROOT / "tests"))
 
-from pairs import NAMES, RULE, draw_run  # noqa: E402
+from pairs import NAMES, PAIRS, RULE, draw_run  # noqa: E402
 
 ROWS = ROOT / "benchmarks" / "results" / "agreement.jsonl"
 PAGE = ROOT / "docs" / "agreement.md"
@@ -110,7 +109,7 @@ def main() -> None:
         for line in options.rows.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
             known[tuple(row["effects"])] = row
-    wanted = [*((name,) for name in NAMES), *itertools.combinations(NAMES, 2)]
+    wanted = [*((name,) for name in NAMES), *PAIRS]
     left = [(names, options.seeds) for names in wanted if len(known.get(names, {"runs": []})["runs"]) < options.seeds]
     with multiprocessing.Pool(options.jobs) as pool, options.rows.open("a", encoding="utf-8") as stream:
         for done, row in enumerate(pool.imap_unordered(job, left), 1):

@@ -77,7 +77,8 @@ def constants(plant: Plant) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
                 p[C[constant]] = number if constant in ("STOP", "CHANGE_AT") else max(number, p[C[constant]])
     if p[C.FAST] and p[C.L] <= 0.0:
         raise FirmwareModelError(
-            f"plant {plant.name!r}: fast_decay needs a winding with inductance; give L_H or armature_inductance"
+            f"plant {plant.name!r}: a bridge that is open between pulses (fast_decay, coast_pwm) needs a winding with "
+            "inductance; give L_H or armature_inductance"
         )
     if 0.0 < p[C.L] < FASTEST_WINDING_S * p[C.R]:
         raise FirmwareModelError(
@@ -101,8 +102,11 @@ def is_plain(plant: Plant) -> bool:
 
 def is_folded(plant: Plant) -> bool:
     """Whether the disc's error is so steep that its angle turns back while the shaft does not."""
-    disc = plant.effects.get("encoder_eccentricity")
-    return disc is not None and disc["level_rad"] * disc["order"] >= 1.0
+    disc, shaft = plant.effects.get("encoder_eccentricity"), plant.effects.get("shaft_angle_error")
+    steep = 0.0 if disc is None else disc["level_rad"] * disc["order"]
+    if shaft is not None:
+        steep += sum(n * shaft[f"level_{n}_rad"] for n in (1, 2, 3))
+    return bool(steep >= 1.0)
 
 
 def is_stiff(plant: Plant, p: FloatArray) -> bool:
@@ -111,7 +115,7 @@ def is_stiff(plant: Plant, p: FloatArray) -> bool:
     fastest = math.sqrt(p[C.STIFFNESS] * inverse) + p[C.DAMPING] * inverse
     if p[C.DEFLECTION]:
         level = plant.coulomb_Nm + sum(
-            float(value)
+            abs(float(value))
             for name, values in plant.effects.items()
             if effects()[name].friction is not None
             for key, value in values.items()

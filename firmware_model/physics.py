@@ -51,23 +51,27 @@ CEASING = 2
 
 
 @part
-def pulse(duty, on, off, ohms, henry, period):  # type: ignore[no-untyped-def]
-    """Mean current of a winding that gets ``on`` volts for a duty 0..1 of each period and then loses ``off`` volts.
+def pulse(duty, on, off, ohms, henry, period, most):  # type: ignore[no-untyped-def]
+    """Mean current of a winding that gets ``on`` volts for a duty 0..1 of each period and then loses ``off`` volts, its
+    current never above ``most``.
 
     Returns the periodic mean in A and whether the current ceases within the period (discontinuous conduction).
     """
     if on <= 0.0:
         return 0.0, True
     if off <= 0.0:
-        return (duty * on - (1.0 - duty) * off) / ohms, False
+        return min((duty * on - (1.0 - duty) * off) / ohms, most), False
     tau = henry / ohms
     pulse_s = duty * period
     up, down = on / ohms, off / ohms
-    peak = -up * math.expm1(-pulse_s / tau)
+    peak, charge = -up * math.expm1(-pulse_s / tau), 0.0
+    if peak > most:
+        risen_s = -tau * math.log1p(-most / up)
+        peak, charge, pulse_s = most, most * (pulse_s - risen_s), risen_s
     fall_s = tau * math.log1p(peak / down)
     if fall_s >= (1.0 - duty) * period:
-        return (duty * on - (1.0 - duty) * off) / ohms, False
-    charge = up * pulse_s - tau * peak - down * fall_s + tau * peak
+        return min((duty * on - (1.0 - duty) * off) / ohms, most), False
+    charge += up * pulse_s - tau * peak - down * fall_s + tau * peak
     return charge / period, True
 
 
@@ -86,8 +90,15 @@ def fast_circuit(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
 @part
 def pulses(duty, p, supply, emf, ohms, lost, most):  # type: ignore[no-untyped-def]
     """Fast decay, in the duty's direction: mean current in A if each pulse begins from none, and whether it ceases."""
-    mean, ceases = pulse(0.01 * abs(duty), supply - lost - emf, supply + lost + p[DIODE] + emf, ohms, p[L], p[PERIOD])
-    return min(mean, most), ceases
+    up, down = supply - lost - emf, supply + lost + p[DIODE] + emf
+    return pulse(0.01 * abs(duty), up, down, ohms, p[L], p[PERIOD], most)
+
+
+@part
+def is_clipped(duty, p, supply, emf, ohms, lost, most):  # type: ignore[no-untyped-def]
+    """Fast decay, in the duty's direction: whether a pulse alone brings the current to its limit."""
+    up = (supply - lost - emf) / ohms
+    return up > most and -up * math.expm1(-0.01 * abs(duty) * p[PERIOD] * ohms / p[L]) > most
 
 
 @part

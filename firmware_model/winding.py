@@ -6,10 +6,17 @@ from firmware_model.circuit import DRIVEN, STANDBY, phase_broken, settle_phase, 
 from firmware_model.compiled import part
 from firmware_model.hooks import drop
 from firmware_model.layout import CURRENT, FLOW, MEAN, MODE, OMEGA, PHASE, THETA, C
-from firmware_model.physics import CEASING, fast_circuit, pressure, pulses
+from firmware_model.physics import CEASING, fast_circuit, is_clipped, pressure, pulses
 
-L, FAST, PERIOD = int(C.L), int(C.FAST), int(C.PERIOD)
+L, FAST, PERIOD, SUPPLY = int(C.L), int(C.FAST), int(C.PERIOD), int(C.SUPPLY)
 SMALL_A = 1e-12
+PASSED_A, PASSED_S = 1e-6, 1e-10  # a current that has just passed zero in a diode, so long ago at the most
+
+
+@part
+def passed_A(p):  # type: ignore[no-untyped-def]
+    """How large a current may be that has just passed zero: a fast winding's is, after the shortest time."""
+    return max(PASSED_A, PASSED_S * p[SUPPLY] / p[L])
 
 
 @part
@@ -35,7 +42,7 @@ def switched(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     mean, ceases = pulses(duty, p, supply, emf, ohms, lost, most)
     if m[FLOW] == CEASING:
         return not ceases or emf > supply + lost
-    return ceases and current < mean
+    return ceases and (current < mean or is_clipped(duty, p, supply, emf, ohms, lost, most))
 
 
 @part
@@ -46,7 +53,7 @@ def settle_fast(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
     current = way * y[CURRENT]
     if current < -SMALL_A or (current <= SMALL_A and emf > supply + lost):
         m[FLOW] = -int(way)
-    elif ceases and current <= mean + SMALL_A:
+    elif ceases and (current <= mean + SMALL_A or is_clipped(duty, p, supply, emf, ohms, lost, most)):
         m[FLOW] = CEASING
         y[CURRENT] = way * mean
     else:
@@ -68,7 +75,7 @@ def settle_flow(time, y, m, duty, p, on):  # type: ignore[no-untyped-def]
         return
     if m[FLOW] != 0 and y[CURRENT] * m[FLOW] <= 0.0:
         lost = drop(0.0, y[THETA], y[OMEGA], 0.0, 0.0, duty, time, y, p, on)
-        if (m[MODE] == STANDBY or lost > 0.0) and y[CURRENT] * m[FLOW] < 0.0 and abs(y[CURRENT]) < 1e-6:
+        if (m[MODE] == STANDBY or lost > 0.0) and y[CURRENT] * m[FLOW] < 0.0 and abs(y[CURRENT]) < passed_A(p):
             y[CURRENT] = 0.0
     if m[MODE] == STANDBY or y[CURRENT] != 0.0:
         m[FLOW] = sign(y[CURRENT])

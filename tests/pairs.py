@@ -6,6 +6,7 @@ connects them is ``Plant.reduced``: the one place where a plant's constants beco
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Callable, Mapping
@@ -45,6 +46,17 @@ def draw_motor(rng: random.Random) -> Values:
 
 def stall(m: Values) -> float:
     return float(m["Kt_Nm_per_A"] * m["supply_V"] / m["R_ohm"])
+
+
+def viscous(m: Values) -> float:
+    """The damping of the back-emf in N m per rad/s."""
+    return float(m["Kt_Nm_per_A"] * m["Ke_Vs_per_rad"] / m["R_ohm"])
+
+
+def _curve(rng: random.Random, size_Nm: float) -> Values:
+    """A curve of half a turn to two, of this size."""
+    points = {f"torque_{i}_Nm": rng.uniform(-size_Nm, size_Nm) for i in range(1, 12)}
+    return {"from_rad": _turn(rng), "span_rad": between(rng, math.pi, 4.0 * math.pi), **points}
 
 
 def _turn(rng: random.Random) -> float:
@@ -89,19 +101,34 @@ DRAWS: Mapping[str, Callable[[random.Random, Values], Values]] = {
         "order": float(r.choice((2, 3, 4, 6, 8, 12, 15, 20))),
         "torque_Nm": between(r, 0.005, 0.05) * stall(m), "phase_rad": _turn(r),
     },
+    "clock_ripple": lambda r, m: {
+        "ratio": between(r, 0.003, 0.05), "frequency_Hz": between(r, 0.3, 20.0), "phase_rad": _turn(r),
+        "of": r.choice(("torque", "gain")),
+    },
+    "coast_pwm": lambda r, m: {"pwm_Hz": between(r, 200.0, 1500.0)},
     "constant_load": lambda r, m: {"torque_Nm": _sign(r) * between(r, 0.003, 0.06) * stall(m)},
     "current_limit": lambda r, m: {"limit_A": r.uniform(0.25, 0.9) * m["supply_V"] / m["R_ohm"]},
     "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + _sign(r) * between(r, 0.01, 0.2)},
     "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * between(r, 0.02, 0.3)},
+    "duty_steps": lambda r, m: {
+        "step_pct": r.choice((5.0, 12.5, 20.0, 33.0)), "share": _sign(r) * between(r, 0.02, 0.5),
+        "rounding": r.choice(("cut", "nearest", "up")),
+    },
     "encoder_eccentricity": lambda r, m: {
         "level_deg": between(r, 0.3, 2.0), "order": float(r.choice((1, 1, 2, 4))), "phase_rad": _turn(r),
     },
     "fast_decay": lambda r, m: {},
+    "friction_over_position": lambda r, m: _curve(r, 0.5 * m["coulomb_Nm"]),
     "friction_warm_up": lambda r, m: {"ratio": r.uniform(0.1, 0.7), "time_constant_s": between(r, 2.0, 30.0)},
+    "gain_warm_up": lambda r, m: {
+        "ratio": _sign(r) * between(r, 0.005, 0.2), "time_constant_s": between(r, 2.0, 30.0),
+        "follows": r.choice(("running", "time", "heat")),
+    },
     "gravity_load": lambda r, m: {"torque_Nm": between(r, 0.004, 0.08) * stall(m), "phase_rad": _turn(r)},
     "hard_stop": lambda r, m: {"angle_deg": _sign(r) * between(r, 5.0, 300.0)},
     "input_deadband": lambda r, m: {"level_pct": between(r, 0.5, 10.0)},
     "load_dependent_friction": lambda r, m: {"ratio": between(r, 0.03, 0.3)},
+    "load_over_position": lambda r, m: _curve(r, between(r, 0.004, 0.05) * stall(m)),
     "missed_counts": lambda r, m: {"ratio": between(r, 0.002, 0.05)},
     "parameter_change": lambda r, m: {
         "time_s": r.choice((r.uniform(0.2, 0.9), r.uniform(2.0, 12.0))),
@@ -112,21 +139,37 @@ DRAWS: Mapping[str, Callable[[random.Random, Values], Values]] = {
     },
     "presliding_friction": lambda r, m: {"breakaway_deg": between(r, 0.2, 4.0)},
     "pwm_dead_time": lambda r, m: {"time_s": between(r, 1e-7, 3e-6)},
-    "pwm_resolution": lambda r, m: {"levels": float(r.choice((16, 50, 100, 255)))},
+    "pwm_resolution": lambda r, m: {
+        "levels": float(r.choice((16, 50, 100, 255))), "rounding": r.choice(("cut", "nearest")),
+    },
     "quadratic_drag": lambda r, m: {"drag_Nms2": between(r, 0.01, 0.1) * stall(m) / math.radians(1000.0) ** 2},
+    "shaft_angle_error": lambda r, m: {
+        **{f"level_{n}_deg": between(r, 0.1, 1.0) for n in (1, 2, 3)},
+        **{f"phase_{n}_rad": _turn(r) for n in (1, 2, 3)},
+    },
     "shaft_compliance": _spring,
     "static_friction": lambda r, m: {"extra_Nm": between(r, 0.005, 0.05) * stall(m)},
     "stribeck_friction": lambda r, m: {
         "extra_Nm": between(r, 0.005, 0.04) * stall(m), "stribeck_speed_rad_s": between(r, 0.3, 4.0),
+    },
+    "sublinear_viscous_friction": lambda r, m: {
+        "torque_Nm": between(r, 0.005, 0.04) * stall(m), "knee_rad_s": between(r, 0.5, 10.0),
     },
     "supply_drift": lambda r, m: {"drift_per_s": _sign(r) * between(r, 2e-4, 2e-3)},
     "supply_sag": lambda r, m: {
         "source_ohm": between(r, 0.03, 0.4) * m["R_ohm"], "smoothing": r.choice(("capacitor", "none")),
     },
     "transport_delay": lambda r, m: {"delay_s": between(r, 0.0005, 0.03)},
+    "viscous_friction": lambda r, m: {"drag_Nms": between(r, 0.02, 0.5) * viscous(m)},
+    "viscous_friction_by_direction": lambda r, m: {
+        "drag_Nms": between(r, 0.02, 0.5) * viscous(m), "direction": r.choice(("forward", "reverse")),
+    },
     "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(30.0, 90.0)},
 }  # fmt: skip
 NAMES = tuple(DRAWS)
+# One bridge or winding said in two ways.
+EITHER = ({"coast_pwm", "fast_decay"}, {"coast_pwm", "armature_inductance"})
+PAIRS = tuple(pair for pair in itertools.combinations(NAMES, 2) if set(pair) not in EITHER)
 
 
 def draw_plant(rng: random.Random, names: tuple[str, ...], *, friction: bool = True) -> Plant:
@@ -134,6 +177,8 @@ def draw_plant(rng: random.Random, names: tuple[str, ...], *, friction: bool = T
     motor = draw_motor(rng)
     if "fast_decay" in names:
         motor["L_H"] = between(rng, 0.0005, 0.006) * motor["R_ohm"]
+    elif "coast_pwm" in names:
+        motor["L_H"] = between(rng, 0.00003, 0.00005) * motor["R_ohm"]
     if not friction:
         motor["coulomb_Nm"] = 0.0
     return make_plant({**motor, "effects": {name: DRAWS[name](rng, motor) for name in names}}, "drawn")
@@ -160,15 +205,14 @@ def as_model(plant: Plant) -> Model:
     values: Values = {}
     for name, inner in reduced.items():
         values.update({f"{name}.{key}": value for key, value in inner.items()})
-    if "pwm_resolution.levels" in values:
-        values["pwm_resolution.rounding"] = "nearest"
     if "stribeck_friction.extra_pct" in values:
         values["stribeck_friction.shape"] = "gaussian"
-    if "fast_decay" in reduced:
+    if "fast_decay" in reduced or ("coast_pwm" in reduced and "armature_inductance" not in plant.effects):
         values.pop("armature_inductance.time_constant_s", None)
         reduced.pop("armature_inductance", None)
     names = tuple(name for name in library() if name in reduced and name != "linear")
-    return Model(names, values, pwm_hz=plant.pwm_hz)
+    pwm_hz = float(plant.effects.get("coast_pwm", {}).get("pwm_Hz", plant.pwm_hz))
+    return Model(names, values, pwm_hz=pwm_hz)
 
 
 # In the first second, and over a whole run: a count is half a degree.
@@ -255,10 +299,11 @@ def draw_run(names: tuple[str, ...], seed: int, span_s: float) -> Both:
     """A motor with these effects and commands for it, drawn by a seed, on both sides.
 
     What limits or breaks off the current within a PWM period is compared with the board whose edges are resolved, where
-    the winding has a lag: there the mean of a period is not all.
+    the winding has a lag: there the mean of a period is not all. Slow pulses shake the shaft; their means are compared.
     """
     rng = random.Random(f"{names} {seed}")
     plant = draw_plant(rng, names)
     modes, duties = draw_commands(rng, span_s)
-    ripples = plant.inductance_H > 0.0 and any(n in plant.effects for n in ("current_limit", "bridge_voltage_drop"))
+    within = {"current_limit", "bridge_voltage_drop"} & plant.effects.keys()
+    ripples = plant.inductance_H > 0.0 and bool(within) and "coast_pwm" not in names
     return compare(plant, modes, duties, "edge_resolved" if ripples else None)
