@@ -2,6 +2,7 @@
 
     python benchmarks/discovery.py --out results.jsonl                 the whole plan, hours; resumes where it stopped
     python benchmarks/discovery.py --out results.jsonl --minutes 30       as much of it as that
+    python benchmarks/discovery.py --out some.jsonl --effects duty_steps,gain_warm_up --none 20   of some effects
     python benchmarks/discovery.py --smoke                                 60 fixed cases on short runs, for the gate
     python benchmarks/discovery.py --table results.jsonl [--page FILE]     rates, or the page
 
@@ -25,7 +26,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from discovery_cases import EFFECTS
+from discovery_cases import EFFECTS, YOUNG
 from discovery_rates import BOUNDS, page, summary, table
 from discovery_run import Row, Task, run_task, same
 from rows import commit, read
@@ -34,9 +35,12 @@ from rows import commit, read
 SMOKE, SMOKE_SEED = {"clear": 1, "faint": 0, "none": 24, "pair": 3, "outside": 2}, 20240601
 
 
-def plan(counts: dict[str, int], rng: random.Random) -> list[Task]:
-    """Tasks in a random order: every effect ``clear`` and ``faint`` times, and so many pairs, outsiders and none."""
-    names = sorted(EFFECTS)
+def plan(counts: dict[str, int], rng: random.Random, names: Sequence[str] | None = None) -> list[Task]:
+    """Tasks in a random order: every effect ``clear`` and ``faint`` times, and so many pairs, outsiders and none.
+
+    ``names`` are the effects to draw from (None: all).
+    """
+    names = sorted(EFFECTS) if names is None else names
     draw = lambda: rng.randrange(2**31)  # noqa: E731
     tasks = [Task(kind, (n,), draw()) for kind in ("clear", "faint") for n in names for _ in range(counts[kind])]
     tasks += [Task("none", (), draw()) for _ in range(counts["none"])]
@@ -84,7 +88,8 @@ def run(
 
 def smoke(jobs: int) -> None:
     """Fixed cases on short experiments; leaves with the reasons where counts are worse than their bounds."""
-    tasks = [replace(task, short=True) for task in plan(SMOKE, random.Random(SMOKE_SEED))]
+    drawn = plan(SMOKE, random.Random(SMOKE_SEED), sorted(EFFECTS.keys() - YOUNG))
+    tasks = [replace(task, short=True) for task in drawn]
     rows = list(run(tasks, jobs))
     print(f"\n{table(rows)}\n")
     counted = [bound.counted(rows) for bound in BOUNDS]
@@ -99,6 +104,7 @@ def main() -> None:
     for kind, count in (("clear", 8), ("faint", 4), ("none", 300), ("pair", 40), ("outside", 20)):
         parser.add_argument(f"--{kind}", type=int, default=count, help="cases, of each effect for clear and faint")
     parser.add_argument("--out", type=Path, default=Path("discovery.jsonl"))
+    parser.add_argument("--effects", help="draw from these alone, names with commas between")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"))
@@ -116,6 +122,9 @@ def main() -> None:
         smoke(options.jobs)
         return
     counts = {kind: getattr(options, kind) for kind in ("clear", "faint", "none", "pair", "outside")}
+    names = options.effects.split(",") if options.effects else sorted(EFFECTS)
+    if unknown := [n for n in names if n not in EFFECTS]:
+        sys.exit(f"no draw of {', '.join(unknown)}; there are {', '.join(sorted(EFFECTS))}")
     earlier = read(options.out)
     seed = options.seed
     if seed is None:
@@ -124,7 +133,7 @@ def main() -> None:
         with options.out.open("a") as file:
             file.write(json.dumps({"plan": seed, "counts": counts}) + "\n")
     finished = {r["key"] for r in earlier if "key" in r}
-    tasks = [t for t in plan(counts, random.Random(seed)) if t.key not in finished]
+    tasks = [t for t in plan(counts, random.Random(seed), names) if t.key not in finished]
     with options.out.open("a") as file:
         for row in run(tasks, options.jobs, options.minutes):
             file.write(json.dumps(row, default=str) + "\n")

@@ -126,7 +126,51 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
         "ratio": r.choice((1.0 + spread(r, 0.05, 0.6), 1.0 / (1.0 + spread(r, 0.05, 0.6)))),
     },
     "hard_stop": lambda r, m: {"angle_rad": sign(r) * math.radians(r.uniform(200.0, 1500.0))},
+    "clock_ripple": lambda r, m: {
+        "ratio": spread(r, 0.001, 0.03),
+        "frequency_Hz": spread(r, 0.3, 10.0),
+        "phase_rad": _turn(r),
+        "of": r.choice(("torque", "gain")),
+    },
+    "coast_pwm": lambda r, m: {"pwm_Hz": spread(r, 200.0, 1000.0)},
+    "duty_steps": lambda r, m: {
+        "step_pct": r.choice((5.0, 10.0, 20.0, 25.0)),
+        "share": sign(r) * spread(r, 0.01, 0.4),
+        "rounding": r.choice(("cut", "nearest")),
+    },
+    "friction_over_position": lambda r, m: _curve(r, spread(r, 0.05, 0.7) * m["coulomb_Nm"]),
+    "gain_warm_up": lambda r, m: {
+        "ratio": sign(r) * spread(r, 0.003, 0.15),
+        "time_constant_s": spread(r, 4.0, 60.0),
+        "follows": r.choice(("running", "time", "heat")),
+    },
+    "load_over_position": lambda r, m: _curve(r, spread(r, 0.002, 0.05) * stall_Nm(m)),
+    "shaft_angle_error": lambda r, m: {
+        **{f"level_{n}_rad": math.radians(spread(r, 0.1, 1.5) / n) for n in (1, 2, 3)},
+        **{f"phase_{n}_rad": _turn(r) for n in (1, 2, 3)},
+    },
+    "sublinear_viscous_friction": lambda r, m: {
+        "torque_Nm": spread(r, 0.001, 0.03) * stall_Nm(m),
+        "knee_rad_s": spread(r, 0.5, 5.0),
+    },
+    "viscous_friction_by_direction": lambda r, m: {
+        "drag_Nms": spread(r, 0.005, 0.3) * m["Kt_Nm_per_A"] * m["Ke_Vs_per_rad"] / m["R_ohm"],
+        "direction": r.choice(("forward", "reverse")),
+    },
 }
+# Those of which rates can be drawn beside the others; the fixed cases of the smoke run stay as they were drawn.
+YOUNG = frozenset({
+    "clock_ripple", "coast_pwm", "duty_steps", "friction_over_position", "gain_warm_up", "load_over_position",
+    "shaft_angle_error", "sublinear_viscous_friction", "viscous_friction_by_direction",
+})  # fmt: skip
+
+
+def _curve(rng: random.Random, size_Nm: float) -> Values:
+    """A curve of this size that repeats once a turn: a few of its lowest orders."""
+    orders = [(rng.uniform(0.3, 1.0) / n, n, _turn(rng)) for n in (1, 2, 3)]
+    heights = [sum(a * math.sin(2.0 * math.pi * n * k / 12 + phase) for a, n, phase in orders) for k in range(11)]
+    largest = max(abs(h) for h in heights)
+    return {f"torque_{k + 1}_Nm": size_Nm * h / largest for k, h in enumerate(heights)}
 
 
 def _asymmetric(rng: random.Random, m: Values) -> Values:
@@ -162,6 +206,8 @@ def make_case(seed: int, names: tuple[str, ...]) -> Case:
         m["coulomb_Nm"] = 0.0
     if "fast_decay" in effects:
         m["L_H"] = spread(rng, 0.0005, 0.004) * m["R_ohm"]
+    elif "coast_pwm" in effects:
+        m["L_H"] = spread(rng, 0.00003, 0.0003) * m["R_ohm"]
     values = {**m, "effects": effects}
     plant = make_plant(values, "case")
     return Case(seed, names, plant, plant.reduced(), values)

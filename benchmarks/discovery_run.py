@@ -26,7 +26,12 @@ CLASSES = (
     {"input_deadband", "pwm_dead_time"},
 )
 # What holds another as a special case: taken out of the library with it.
-HOLDS = {"input_deadband": "asymmetric_deadband", "pwm_dead_time": "asymmetric_deadband"}
+HOLDS = {
+    "input_deadband": "asymmetric_deadband",
+    "pwm_dead_time": "asymmetric_deadband",
+    "supply_drift": "gain_warm_up",
+    "encoder_eccentricity": "shaft_angle_error",
+}
 
 
 def same(a: str, b: str) -> bool:

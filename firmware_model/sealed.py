@@ -1,7 +1,8 @@
 """A sealed bench: plant, effects and, on request, faults drawn by a seed, told to nobody until it is opened.
 
 The seed and the version of the draws are the only link between the functions. A version is frozen: what it may draw,
-and how, stays as it is, so that a log is unsealed as the bench it was. New effects and other sizes enter a new version.
+and how, stays as it is, so that a log is unsealed as the bench it was. New effects and other sizes enter a new version:
+it draws as the one before, then gives some of the benches one of its own effects in the place of their first.
 Ranges are wide and physically sensible: gain 6 to 16 deg/s per percent, time constant 40 to 150 ms, dry friction 1 to 6
 percent of full duty, and no effect, one or two of those that half a minute of motion can show, from faint to plain.
 """
@@ -22,7 +23,14 @@ from firmware_model.registry import effects
 SUPPLY_V = 9.0
 SHARES = {0: 15, 1: 60, 2: 25}  # how many benches of a hundred have so many effects
 # The same thing to an encoder: a bench with both would be a bench with one of them.
-ALIKE = ({"asymmetric_coulomb_friction", "constant_load"}, {"gravity_load", "cogging_torque"})
+ALIKE = (
+    {"asymmetric_coulomb_friction", "constant_load"},
+    {"gravity_load", "cogging_torque"},
+    {"gravity_load", "load_over_position"},
+    {"cogging_torque", "load_over_position"},
+    {"position_dependent_friction", "friction_over_position"},
+    {"encoder_eccentricity", "shaft_angle_error"},
+)
 
 Values = dict[str, Any]
 
@@ -86,12 +94,26 @@ def _edges(rng: random.Random, motor: Values) -> Values:
     return {"u_plus_pct": plus, "u_minus_pct": -minus}
 
 
+def _curve(rng: random.Random, size_Nm: float) -> Values:
+    """A curve of this size that repeats once a turn: a few of its lowest orders."""
+    orders = [(rng.uniform(0.3, 1.0) / n, n, _turn(rng)) for n in (1, 2, 3)]
+    heights = [sum(a * math.sin(2.0 * math.pi * n * k / 12 + phase) for a, n, phase in orders) for k in range(11)]
+    largest = max(abs(h) for h in heights)
+    return {f"torque_{k + 1}_Nm": size_Nm * h / largest for k, h in enumerate(heights)}
+
+
 # SI parameters of each effect at a drawn size.
 EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "armature_inductance": lambda r, m: {"inductance_H": _between(r, 0.002, 0.012) * m["R_ohm"]},
     "asymmetric_coulomb_friction": _one_sided,
     "asymmetric_deadband": _edges,
     "backlash": _backlash,
+    "clock_ripple": lambda r, m: {
+        "ratio": _between(r, 0.003, 0.03),
+        "frequency_Hz": _between(r, 0.3, 10.0),
+        "phase_rad": _turn(r),
+        "of": r.choice(("torque", "gain")),
+    },
     "bridge_voltage_drop": lambda r, m: {"drop_V": _between(r, 0.01, 0.06) * SUPPLY_V},
     "cogging_torque": lambda r, m: {
         "order": float(r.choice((2, 3, 4, 6, 8, 12, 15, 20))),
@@ -102,14 +124,26 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "current_limit": lambda r, m: {"limit_A": r.uniform(0.3, 0.9) * SUPPLY_V / m["R_ohm"]},
     "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + _sign(r) * _between(r, 0.005, 0.2)},
     "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * _between(r, 0.01, 0.3)},
+    "duty_steps": lambda r, m: {
+        "step_pct": r.choice((5.0, 10.0, 20.0, 25.0)),
+        "share": _sign(r) * _between(r, 0.03, 0.4),
+        "rounding": r.choice(("cut", "nearest")),
+    },
     "encoder_eccentricity": lambda r, m: {
         "level_rad": math.radians(_between(r, 0.3, 2.0)),
         "order": float(r.choice((1, 1, 2, 4))),
         "phase_rad": _turn(r),
     },
+    "friction_over_position": lambda r, m: _curve(r, _between(r, 0.15, 0.7) * m["coulomb_Nm"]),
+    "gain_warm_up": lambda r, m: {
+        "ratio": _sign(r) * _between(r, 0.01, 0.15),
+        "time_constant_s": _between(r, 3.0, 15.0),
+        "follows": r.choice(("running", "heat")),
+    },
     "gravity_load": lambda r, m: {"torque_Nm": _between(r, 0.004, 0.08) * _stall(m), "phase_rad": _turn(r)},
     "input_deadband": lambda r, m: {"level_pct": _between(r, 0.7, 12.0)},
     "load_dependent_friction": lambda r, m: {"ratio": _between(r, 0.03, 0.3)},
+    "load_over_position": lambda r, m: _curve(r, _between(r, 0.005, 0.05) * _stall(m)),
     "position_dependent_friction": lambda r, m: {
         "ratio": r.uniform(0.15, 0.6),
         "order": float(r.choice((1, 1, 2, 4))),
@@ -118,13 +152,25 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "quadratic_drag": lambda r, m: {
         "drag_Nms2": _between(r, 0.01, 0.08) * _stall(m) / math.radians(1000.0) ** 2,
     },
+    "shaft_angle_error": lambda r, m: {
+        **{f"level_{n}_rad": math.radians(_between(r, 0.2, 1.5) / n) for n in (1, 2, 3)},
+        **{f"phase_{n}_rad": _turn(r) for n in (1, 2, 3)},
+    },
     "static_friction": lambda r, m: {"extra_Nm": _between(r, 0.01, 0.05) * _stall(m)},
     "stribeck_friction": lambda r, m: {
         "extra_Nm": _between(r, 0.01, 0.05) * _stall(m),
         "stribeck_speed_rad_s": _between(r, 0.3, 4.0),
     },
+    "sublinear_viscous_friction": lambda r, m: {
+        "torque_Nm": _between(r, 0.005, 0.03) * _stall(m),
+        "knee_rad_s": _between(r, 0.5, 5.0),
+    },
     "supply_sag": lambda r, m: {"source_ohm": _between(r, 0.04, 0.4) * m["R_ohm"]},
     "transport_delay": lambda r, m: {"delay_s": _between(r, 0.002, 0.045)},
+    "viscous_friction_by_direction": lambda r, m: {
+        "drag_Nms": _between(r, 0.02, 0.3) * m["Kt_Nm_per_A"] * m["Ke_Vs_per_rad"] / m["R_ohm"],
+        "direction": r.choice(("forward", "reverse")),
+    },
     "voltage_saturation": lambda r, m: {"limit_pct": r.uniform(35.0, 85.0)},
 }
 
@@ -138,6 +184,15 @@ VERSIONS: dict[int, tuple[str, ...]] = {
         "transport_delay", "voltage_saturation",
     ),
 }  # fmt: skip
+# Those that a version brings: so many benches of a hundred that have an effect get one of them.
+BROUGHT: dict[int, tuple[str, ...]] = {
+    2: (
+        "clock_ripple", "duty_steps", "friction_over_position", "gain_warm_up", "load_over_position",
+        "shaft_angle_error", "sublinear_viscous_friction", "viscous_friction_by_direction",
+    ),
+}  # fmt: skip
+BROUGHT_SHARE = 35
+VERSIONS[2] = VERSIONS[1] + BROUGHT[2]
 NEWEST = max(VERSIONS)
 
 # What a line and a clock may do, each of it mild enough for a run to go on.
@@ -152,13 +207,19 @@ FAULTS: dict[str, Callable[[random.Random], Values]] = {
 }
 
 
-def _names(rng: random.Random, version: int) -> tuple[str, ...]:
+def _names(rng: random.Random, seed: int, version: int) -> tuple[str, ...]:
     """Effects of one bench: none, one, or two that are not alike."""
     (count,) = rng.choices(tuple(SHARES), tuple(SHARES.values()))
     while True:
-        names = tuple(rng.sample(VERSIONS[version], count))
+        names = tuple(rng.sample(VERSIONS[1], count))
         if not any(set(names) <= alike for alike in ALIKE) or count < 2:
-            return names
+            break
+    for brought in (BROUGHT[v] for v in range(2, version + 1)):
+        own = random.Random(f"sealed {seed} of {', '.join(brought)}")
+        if names and own.randrange(100) < BROUGHT_SHARE:
+            apart = [n for n in brought if not any({n, *names[1:]} <= alike for alike in ALIKE)]
+            names = (own.choice(apart), *names[1:])
+    return names
 
 
 def draw(seed: int, *, faulty: bool = False, version: int = NEWEST) -> Plant:
@@ -171,7 +232,7 @@ def draw(seed: int, *, faulty: bool = False, version: int = NEWEST) -> Plant:
         )
     rng = random.Random(f"sealed {seed}")
     motor = _motor(rng)
-    chosen = {name: EFFECTS[name](rng, motor) for name in _names(rng, version)}
+    chosen = {name: EFFECTS[name](rng, motor) for name in _names(rng, seed, version)}
     plant = make_plant({**motor, "effects": chosen}, "sealed")
     if not faulty:
         return plant
