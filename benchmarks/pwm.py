@@ -4,7 +4,8 @@
 
 For a current limit, a bridge that opens between pulses, a bridge drop and a sagging supply, over the winding's L/R and
 the frequency of the PWM: how far the angles of a run are apart, in percent of the way turned; and how far they would be
-if the model knew no ripple. ``--page`` writes docs/pwm.md.
+if the model knew no ripple. So for a bridge that coasts between slow pulses, beside a current that ceases at once.
+``--page`` writes docs/pwm.md.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ EFFECTS = {
         "a source of a fifth of the winding's resistance, no capacitor", {"source_ohm": 1.0, "smoothing": "none"},
     ),
 }  # fmt: skip
+COASTING_HZ = (50.0, 100.0, 200.0, 500.0, 1000.0)
+COASTING_LAGS_S = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
 DUTIES_PCT = (30.0, 90.0, -60.0, 15.0, 70.0, -90.0, 45.0, 0.0)
 HOLD_TICKS = 60
 GOOD_PCT = 0.1
@@ -59,8 +62,29 @@ above {good:g} %, where the averaged form does not hold. Written by `python benc
 """
 
 
+COASTING = """
+## coast_pwm: a bridge that coasts between slow pulses
+
+School controllers switch a motor on and off a few hundred times a second and let it coast in between. With slow pulses
+a fast winding's current ceases in each, and its mean over a period has a closed form: with `D` the duty, `V` the
+supply, `E` the back-emf and `a` the winding's L/R as a share of the period (`decay_periods`), in percent of full duty
+
+    i = D (V - E) - a (V + E) ln(1 + (V - E) (1 - exp(-D / a)) / (V + E))     where the current ceases
+    i = (2 D - 1) V - E                                                       where it never does
+
+so that a current that ceases at once is `D (V - E)`: the back-emf brakes by the duty's share only. Viscous friction
+acts all the time, so here it shows apart from the back-emf: `viscous_friction` beside `coast_pwm`. Nothing of this
+needs the frequency: a log whose bench's PWM nobody knows tells `decay_periods`. A winding that is slow beside the
+period is `fast_decay` with `pwm_hz`.
+
+In brackets: a current that ceases at once, `decay_periods = 0`. The slower the pulses, the more the shaft itself shakes
+within a period, which no mean shows.
+"""
+
+
 def plant(effect: str, lag_s: float, pwm_hz: float) -> Plant:
-    table = {**MOTOR, "L_H": lag_s * MOTOR["R_ohm"], "pwm_hz": pwm_hz, "effects": {effect: EFFECTS[effect][1]}}
+    values = {"pwm_Hz": pwm_hz} if effect == "coast_pwm" else EFFECTS[effect][1]
+    table = {**MOTOR, "L_H": lag_s * MOTOR["R_ohm"], "pwm_hz": pwm_hz, "effects": {effect: values}}
     return make_plant(table, "drawn")
 
 
@@ -73,7 +97,9 @@ def apart_pct(effect: str, lag_s: float, pwm_hz: float) -> tuple[float, float]:
     way = float(np.sum(np.abs(np.diff(seen))))
     model = as_model(motor)
     start = 180.0 / motor.counts_per_rev
-    hosts = (on_host(m, start, modes, duties) for m in (model, model.with_pwm(NO_RIPPLE_HZ)))
+    ceasing = {"coast_pwm.decay_periods": 0.0}
+    plain = model.with_values(ceasing) if effect == "coast_pwm" else model.with_pwm(NO_RIPPLE_HZ)
+    hosts = (on_host(m, start, modes, duties) for m in (model, plain))
     near, blind = (100.0 * float(np.max(np.abs(seen - y))) / max(way, 1.0) for y in hosts)
     return near, blind
 
@@ -83,12 +109,15 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write docs/pwm.md")
     options = parser.parse_args()
     text = HEAD.format(good=GOOD_PCT)
-    for effect, (said, _) in EFFECTS.items():
-        text += f"\n## {effect}: {said}\n\n| L/R | "
-        text += " | ".join(f"{hz:g} Hz" for hz in FREQUENCIES_HZ) + " |\n" + "|---" * (len(FREQUENCIES_HZ) + 1) + "|\n"
-        for lag_s in LAGS_S:
+    for effect in (*EFFECTS, "coast_pwm"):
+        coasts = effect == "coast_pwm"
+        text += COASTING if coasts else f"\n## {effect}: {EFFECTS[effect][0]}\n"
+        frequencies = COASTING_HZ if coasts else FREQUENCIES_HZ
+        text += "\n| L/R | " + " | ".join(f"{hz:g} Hz" for hz in frequencies) + " |\n"
+        text += "|---" * (len(frequencies) + 1) + "|\n"
+        for lag_s in COASTING_LAGS_S if coasts else LAGS_S:
             fields = []
-            for hz in FREQUENCIES_HZ:
+            for hz in frequencies:
                 near, blind = apart_pct(effect, lag_s, hz)
                 told = f"{near:.2g}" if near <= GOOD_PCT else f"**{near:.2g}**"
                 fields.append(f"{told} ({blind:.2g})")

@@ -2,7 +2,7 @@
 
 The public names are loaded when first used, so that ``import fiohost`` costs nothing:
 ``connect``, ``Bench``, ``Log``, ``Model``, ``identify``, ``diagnose``,
-``design``.
+``design``; for effects of one's own ``Effect``, ``Parameter``, ``register_effect``, ``check_effect``.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ _WHERE = {
     "identify": "fiohost.estimation.logs",
     "diagnose": "fiohost.circle.evidence",
     "design": "fiohost.control.design",
+    "Effect": "fiohost.motor.effect",
+    "Parameter": "fiohost.motor.effect",
+    "register_effect": "fiohost.motor.own",
+    "check_effect": "fiohost.motor.check",
 }
 
 __all__ = ["__version__", *_WHERE]

@@ -12,6 +12,9 @@ import math
 import os
 import tomllib
 from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,8 @@ from fiohost import files
 from fiohost.errors import ConfigError
 
 MAX_CONFIG_BYTES = 1_000_000
+# Where more of them are: a folder, or several, with a folder for each kind; packages declare theirs in the group.
+CONFIGS, CONFIGS_GROUP = "FIOHOST_CONFIGS", "fiohost.configs"
 _PACKAGE = Path(__file__).parent
 
 
@@ -30,12 +35,46 @@ def nearest(name: str, choices: Iterable[str]) -> str:
 
 
 def config_dirs(kind: str) -> list[Path]:
-    """Folders of shipped files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's."""
-    return [d for d in (_PACKAGE / "configs" / kind, _PACKAGE.parent / "configs" / kind) if d.is_dir()]
+    """Folders of files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's, then those of
+    other packages and of the user.
+    """
+    shipped = [d for d in (_PACKAGE / "configs" / kind, _PACKAGE.parent / "configs" / kind) if d.is_dir()]
+    return [*shipped, *(d for d in (root / kind for root in own_roots()) if d.is_dir())]
+
+
+def own_roots() -> list[Path]:
+    """Folders that hold a folder for each kind: those named in ``FIOHOST_CONFIGS``, and those of packages that declare
+    themselves as entry points of the group ``fiohost.configs``. Raises ConfigError for one that is not there.
+    """
+    named = [Path(part).expanduser() for part in os.environ.get(CONFIGS, "").split(os.pathsep) if part]
+    for folder in named:
+        if not folder.is_dir():
+            raise ConfigError(f"{CONFIGS} names {files.shown(folder)!r}, which is no folder")
+    return [*named, *_package_roots()]
+
+
+@cache
+def _package_roots() -> tuple[Path, ...]:
+    found = []
+    for point in sorted(entry_points(group=CONFIGS_GROUP), key=lambda p: (p.name, p.value)):
+        try:
+            found += [Path(place) for place in submodule_places(point.value)]
+        except (ImportError, ValueError) as exc:
+            said = f"configs {point.name!r} of another package ({point.value}) cannot be found: {exc}"
+            raise ConfigError(said) from exc
+    return tuple(found)
+
+
+def submodule_places(package: str) -> list[str]:
+    """The folders of a package, without loading it. Raises ImportError where there is none."""
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError(f"{package} is no package with a folder")
+    return list(spec.submodule_search_locations)
 
 
 def config_names(kind: str) -> list[str]:
-    """Names of the shipped files of one kind, without ``.toml``."""
+    """Names of the files of one kind, without ``.toml``: the shipped ones and the user's own."""
     return sorted({p.stem for d in config_dirs(kind) for p in d.glob("*.toml")})
 
 
@@ -46,9 +85,14 @@ def find_config(kind: str, name: str | Path) -> Path:
         if exists(path):
             return path
         raise ConfigError(f"no file {files.shown(path)!r}; shipped {kind}: {', '.join(config_names(kind))}")
-    for folder in config_dirs(kind):
-        if exists(folder / f"{name}.toml"):
-            return folder / f"{name}.toml"
+    found = [folder / f"{name}.toml" for folder in config_dirs(kind) if exists(folder / f"{name}.toml")]
+    if len(found) > 1 and not found[0].samefile(found[-1]):
+        raise ConfigError(
+            f"there are two {kind} of the name {files.shown(name)!r}: {files.shown(found[0])} and "
+            f"{files.shown(found[-1])}; rename yours"
+        )
+    if found:
+        return found[0]
     raise ConfigError(f"unknown name {files.shown(name)!r} in {kind}; {nearest(str(name), config_names(kind))}")
 
 

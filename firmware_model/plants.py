@@ -12,6 +12,8 @@ import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from firmware_model.registry import effects
 
 TINY = 1e-12
 MAX_BYTES = 1_000_000  # of a plant's file
+OWN, OWN_GROUP = "FIOHOST_CONFIGS", "fiohost.configs"  # where plants of the user's are
 
 MOTOR = (
     Parameter("R_ohm", lower=1e-3, upper=1e4),
@@ -189,9 +192,38 @@ def _folder() -> Path:
     return installed if installed.is_dir() else here.parent / "configs" / "plants"
 
 
+def _own_folders() -> list[Path]:
+    """Folders of plants of the user's (``plants`` in those that ``FIOHOST_CONFIGS`` names) and of packages that declare
+    themselves as entry points of the group ``fiohost.configs``. Raises FirmwareModelError for one that is not there.
+    """
+    roots = [Path(part).expanduser() for part in os.environ.get(OWN, "").split(os.pathsep) if part]
+    for root in roots:
+        if not root.is_dir():
+            raise FirmwareModelError(f"{OWN} names {str(root)!r}, which is no folder")
+    for point in sorted(entry_points(group=OWN_GROUP), key=lambda p: (p.name, p.value)):
+        spec = find_spec(point.value)
+        if spec is None or not spec.submodule_search_locations:
+            raise FirmwareModelError(f"plants of another package: {point.value} is no package with a folder")
+        roots += [Path(place) for place in spec.submodule_search_locations]
+    return [root / "plants" for root in roots if (root / "plants").is_dir()]
+
+
+def _named() -> dict[str, Path]:
+    """The plants that are known by a name: the shipped ones and the user's own."""
+    found = {path.stem: path for path in _folder().glob("*.toml")}
+    for folder in _own_folders():
+        for path in sorted(folder.glob("*.toml")):
+            if path.stem in found and not path.samefile(found[path.stem]):
+                raise FirmwareModelError(
+                    f"there are two plants of the name {path.stem!r}: {found[path.stem]} and {path}; rename yours"
+                )
+            found[path.stem] = path
+    return found
+
+
 def plant_names() -> list[str]:
-    """Names of the plants that ship with the package."""
-    return sorted(path.stem for path in _folder().glob("*.toml"))
+    """Names of the plants that ship with the package, and of the user's own."""
+    return sorted(_named())
 
 
 def _text_of(path: Path) -> str:
@@ -212,9 +244,10 @@ def load_plant(path_or_name: str | Path) -> Plant:
     """A plant by the name of a shipped one, or from a TOML file (a name with a slash or ending in .toml)."""
     text = str(path_or_name)
     is_path = isinstance(path_or_name, Path) or text.endswith(".toml") or "/" in text or "\\" in text
-    path = Path(text) if is_path else _folder() / f"{text}.toml"
-    if not is_path and text not in plant_names():
-        raise FirmwareModelError(f"no plant named {text!r}; there are: {', '.join(plant_names())}")
+    known = {} if is_path else _named()
+    if not is_path and text not in known:
+        raise FirmwareModelError(f"no plant named {text!r}; there are: {', '.join(sorted(known))}")
+    path = Path(text) if is_path else known[text]
     try:
         table = tomllib.loads(_text_of(path))
     except OSError as error:

@@ -217,7 +217,7 @@ def _names(rng: random.Random, seed: int, version: int) -> tuple[str, ...]:
     for brought in (BROUGHT[v] for v in range(2, version + 1)):
         own = random.Random(f"sealed {seed} of {', '.join(brought)}")
         if names and own.randrange(100) < BROUGHT_SHARE:
-            apart = [n for n in brought if not any({n, *names[1:]} <= alike for alike in ALIKE)]
+            apart = [n for n in brought if not any(alike <= {n, *names[1:]} for alike in ALIKE)]
             names = (own.choice(apart), *names[1:])
     return names
 

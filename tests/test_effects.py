@@ -38,7 +38,10 @@ def test_the_shipped_limits_are_of_every_effect_in_the_shipped_suite() -> None:
     assert MEASURED.seconds == pytest.approx(sum(e.duration_s for e in suite()), abs=0.1)
     assert set(Model.parse(MEASURED.model).effects) == set(load_plant(MEASURED.plant).reduced()) - {"linear"}
     without = {x.effect for x in MEASURED.limits if x.value is None}
-    assert without == {"linear", "missed_counts", "asymmetric_coulomb_friction", "fast_decay", "hard_stop"}
+    assert without == {
+        "linear", "missed_counts", "asymmetric_coulomb_friction", "fast_decay", "hard_stop", "coast_pwm",
+        "clock_ripple", "load_over_position", "friction_over_position", "shaft_angle_error", "unsigned_speed",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("limit", [x for x in MEASURED.limits if x.value is not None], ids=lambda x: x.effect)

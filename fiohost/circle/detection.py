@@ -76,6 +76,8 @@ def _without(name: str, model: Model) -> Limit:
         reason = "part of the model: fitted whatever its size"
     elif item.equivalents:
         reason = f"the same in every log as {' and '.join(item.equivalents)}"
+    elif not item.trials and item.trials_for is None:
+        reason = "not tried at sizes of its own: it is read from what is left over angle or time"
     else:
         reason = "not met in these logs"
     return Limit(name, first.name, first.unit, None, first.neutral, reason=reason)

@@ -67,7 +67,7 @@ def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> No
 
 
 @click.command()
-@click.argument("what", nargs=-1, metavar="[NAME]... | --limits LOG...")
+@click.argument("what", nargs=-1, metavar="[NAME]... | check NAME... | --limits LOG...")
 @click.option("--brief", is_flag=True, help="One line for each effect.")
 @click.option("--limits", is_flag=True, help="Say how small an effect would show in the LOGs that follow.")
 @click.option("--model", metavar="M", help="With --limits: the model that the logs are of.  [default: linear]")
@@ -77,11 +77,12 @@ def effects(
     what: Sequence[str], brief: bool, limits: bool, model: str | None, table_map: str | None, json_to: str | None
 ) -> None:
     """List the effects that a model can have: equation, what each does to a log, what it cannot be told from, and the
-    smallest size that shows.
+    smallest size that shows. With check: try an effect's bounds, neutral value, derivatives, steady speeds and energy.
 
     \b
     Examples:
       fiohost effects
+      fiohost effects check backlash
       fiohost effects gravity_load
       fiohost effects --brief
       fiohost effects --limits run1.csv run2.csv --model linear+coulomb_friction
@@ -94,6 +95,9 @@ def effects(
         raise click.UsageError("--limits needs logs: fiohost effects --limits LOG...")
     if not limits and (model or table_map):
         raise click.UsageError("--model and --map go with --limits LOG...")
+    if what and what[0] == "check" and not limits:
+        _check(what[1:], brief, json_to)
+        return
     say = output_for(json_to)
     chosen = [effect(name) for name in what] if what and not limits else list(library().values())
     default, own = shipped(), None
@@ -118,6 +122,29 @@ def effects(
             "given_logs": _conditions(own) if own else None,
         }
     )
+
+
+def _check(names: Sequence[str], brief: bool, json_to: str | None) -> None:
+    """Check effects and print a line for each check; leaves with 1 where one fails."""
+    from dataclasses import asdict
+
+    from fiohost.errors import ModelError
+    from fiohost.motor.check import check_effect
+    from fiohost.motor.effect import effect
+
+    if not names or brief:
+        raise click.UsageError("which effect? fiohost effects check NAME...")
+    say = output_for(json_to)
+    found = {name: check_effect(effect(name)) for name in names}
+    for name, checks in found.items():
+        say(f"{name}: {effect(name).summary}")
+        for check in checks:
+            say(f"  {'passed' if check.passed else 'FAILED'}  {check.name:<11} {check.said}")
+    told = [{"name": name, "checks": [asdict(check) for check in checks]} for name, checks in found.items()]
+    say.json({"schema": "fiohost.effect_checks/1", "effects": told})
+    wrong = [f"{name} ({check.name})" for name, checks in found.items() for check in checks if not check.passed]
+    if wrong:
+        raise ModelError(f"not every check is passed: {', '.join(wrong)}")
 
 
 def _smallest(measured: Measured, item: Effect) -> list[str]:

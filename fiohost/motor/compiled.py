@@ -29,10 +29,16 @@ PRIVATE = 0o700
 
 @cache
 def cache_dir() -> Path | None:
-    """A writable folder for this version of the sources, of this user alone, or None."""
+    """A writable folder for this version of the sources, of this user alone, or None.
+
+    Effects of other packages are a part of the kernels: a change in what of them is compiled is another folder.
+    """
+    from fiohost.motor.own import fingerprint
+
     digest = hashlib.sha256(f"{sys.version}{numba.__version__}".encode())
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
+    digest.update(fingerprint())
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     folder = Path(base)
     try:

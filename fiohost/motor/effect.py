@@ -160,6 +160,33 @@ class Parameter:
         return float(self.choices.index(value)) if isinstance(value, str) else value
 
 
+# The hooks that an effect may have, with what each takes.
+HOOKS: Mapping[str, tuple[str, ...]] = {
+    "command": ("duty_pct", "period_s", "q"),
+    "voltage": ("volts_pct", "duty_pct", "time_s", "z", "q"),
+    "resistance": ("ohms", "duty_pct", "z", "q"),
+    "drop": ("q",),
+    "ceiling": ("q",),
+    "lag": ("q",),
+    "coasts": ("q",),
+    "torque": ("theta_deg", "omega_deg_s", "time_s", "q"),
+    "load": ("theta_deg", "omega_deg_s", "time_s", "q"),
+    "friction": ("level_pct", "theta_deg", "omega_deg_s", "time_s", "drive_pct", "direction", "z", "q"),
+    "breakaway": ("q",),
+    "bristle": ("slack", "z", "q"),
+    "inertia": ("ratio", "time_s", "q"),
+    "coupling": ("q",),
+    "event": ("theta_deg", "omega_deg_s", "q"),
+    "jump": ("theta_deg", "omega_deg_s", "q"),
+    "bars": ("theta_deg", "direction", "q"),
+    "rate": ("z", "omega_deg_s", "current_pct", "q"),
+    "moment": ("q",),
+    "delay": ("q",),
+    "measure": ("theta_deg", "q"),
+    "measure_speed": ("omega_deg_s", "q"),
+}
+
+
 @dataclass(frozen=True)
 class Span:
     """What the data cover: the bench's time in seconds, and the angles in degrees where the shaft stood though driven
@@ -232,6 +259,11 @@ class Effect:
     measure_speed: Hook | None = field(default=None, repr=False)
 
     @property
+    def hook_functions(self) -> tuple[Callable[..., object], ...]:
+        """Its hooks, in the order of their kinds."""
+        return tuple(hook for kind in HOOKS if (hook := getattr(self, kind)) is not None)
+
+    @property
     def remembers(self) -> bool:
         """Whether it adds to the motor's state beside angle and speed."""
         return any(hook is not None for hook in (self.rate, self.coupling, self.lag))
@@ -246,14 +278,19 @@ class Effect:
 
 @cache
 def effects() -> dict[str, Effect]:
-    """All known effects by name, ``linear`` included, in alphabetical order."""
+    """All known effects by name, ``linear`` and those of other packages included, in alphabetical order.
+
+    Raises ModelError where an effect of another package cannot be loaded.
+    """
+    from fiohost.motor.own import own_effects
+
     package = importlib.import_module("fiohost.motor.effects")
     found: dict[str, Effect] = {}
     for info in pkgutil.iter_modules(package.__path__):
         module = importlib.import_module(f"fiohost.motor.effects.{info.name}")
         for effect in module.EFFECTS:
             found[effect.name] = effect
-    return dict(sorted(found.items()))
+    return dict(sorted({**found, **own_effects(found)}.items()))
 
 
 def effect(name: str) -> Effect:

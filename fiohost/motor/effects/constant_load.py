@@ -14,6 +14,7 @@ EFFECTS = (
         equation="load = level",
         acts_on="torque",
         commonness=4,
+        drives=True,
         signature="the same missing torque in both directions; positions drift one way in a symmetric test",
         parameters=(Parameter("level_pct", "%", 1.0, -90.0, 90.0, step=1e-2),),
         trials=({"level_pct": 1.0},),

@@ -61,7 +61,6 @@ EFFECTS = (
         substep_s=0.0025,
         angle_bound=True,
         unnamed=True,
-        drives=True,
         commonness=9,
         signature="missing torque over the angle, the same curve in both directions",
         parameters=parameters(90.0),
