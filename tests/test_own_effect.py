@@ -61,22 +61,52 @@ def sensor(folder: Path, scale: float = 1.0, name: str = "stretch") -> None:
     install(folder, "stretch", {"stretch.py": text}, "[fiohost.effects]\nstretch = stretch:EFFECT\n")
 
 
-def test_the_effect_of_the_page_is_installed_listed_checked_and_passes_its_own_test(tmp_path: Path) -> None:
+# One that each check refuses.
+BAD = """
+import math
+from fiohost import Effect, Parameter
+def never_off(theta_deg, omega_deg_s, time_s, q):
+    return -1.0 - q[0]
+def pushes(theta_deg, omega_deg_s, time_s, q):
+    return q[0] * math.tanh(omega_deg_s)
+def stairs(duty_pct, period_s, q):
+    return duty_pct * (1.0 + 0.1 * math.floor(q[0] * 50.0 + 0.5))
+def hunts(theta_deg, omega_deg_s, time_s, q):
+    return 20.0 * q[0] * math.sin(0.5 * time_s)
+size = (Parameter("level_pct", "%", 1.0, 0.0, 5.0),)
+wrong = (Parameter("level_pct", "%", 9.0, 0.0, 5.0),)
+EFFECTS = [
+    Effect(name, name, name, "torque", size, "a test", substep_s=0.0025, **{key: hook})
+    for name, key, hook in (("never_off", "torque", never_off), ("pushes", "torque", pushes),
+                            ("stairs", "command", stairs), ("hunts", "torque", hunts))
+] + [Effect("beyond", "beyond", "beyond", "torque", wrong, "a test", torque=hunts)]
+"""
+WRONG_IN = {"never_off": "neutral", "pushes": "energy", "stairs": "derivative", "hunts": "steady", "beyond": "bounds"}
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page's package, and one whose effects are wrong, in one kernel: it is compiled once."""
+    folder = tmp_path_factory.mktemp("site")
+    (point,) = re.findall(r'^sticky_grease = "(.*)"$', BLOCKS[1][1], re.MULTILINE)
+    files = {"sticky_grease.py": BLOCKS[0][1], "test_sticky_grease.py": BLOCKS[2][1]}
+    install(folder, "sticky_grease", files, f"[fiohost.effects]\nsticky_grease = {point}\n")
+    install(folder, "bad_effects", {"bad_effects.py": BAD}, "[fiohost.effects]\nbad = bad_effects\n")
+    return folder
+
+
+def test_the_effect_of_the_page_is_listed_checked_and_passes_its_own_test(installed: Path) -> None:
     """The page's own text: its module, its entry points, its test, and what it shows of the terminal."""
-    module, toml, own_test = BLOCKS[0][1], BLOCKS[1][1], BLOCKS[2][1]
-    assert len([line for line in module.splitlines() if line.strip()]) <= 25
-    (point,) = re.findall(r'^sticky_grease = "(.*)"$', toml, re.MULTILINE)
-    files = {"sticky_grease.py": module, "test_sticky_grease.py": own_test}
-    install(tmp_path, "sticky_grease", files, f"[fiohost.effects]\nsticky_grease = {point}\n")
-    checked = python(tmp_path, "-m", "fiohost", "effects", "check", "sticky_grease", "--json", "checks.json")
+    assert len([line for line in BLOCKS[0][1].splitlines() if line.strip()]) <= 25
+    checked = python(installed, "-m", "fiohost", "effects", "check", "sticky_grease", "--json", "checks.json")
     assert checked.returncode == 0, checked.stderr
     shown = next(text for kind, text in BLOCKS if kind == "console")
     assert checked.stdout.strip() == shown.partition("\n")[2].strip()
-    told = json.loads((tmp_path / "checks.json").read_text())["effects"][0]
+    told = json.loads((installed / "checks.json").read_text())["effects"][0]
     assert [c["name"] for c in told["checks"]] == ["bounds", "neutral", "derivative", "steady", "energy"]
-    listed = python(tmp_path, "-m", "fiohost", "effects", "sticky_grease")
+    listed = python(installed, "-m", "fiohost", "effects", "sticky_grease")
     assert "load = level * tanh(omega / knee)" in listed.stdout
-    tested = python(tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_sticky_grease.py")
+    tested = python(installed, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_sticky_grease.py")
     assert tested.returncode == 0, tested.stdout
 
 
@@ -135,38 +165,13 @@ def test_a_script_registers_an_effect_before_the_kernel_is_there_and_not_after(t
     assert "comes too late: the kernel is compiled" in late
 
 
-BAD = """
-import math
-import fiohost
-from fiohost import Effect, Parameter
-def never_off(theta_deg, omega_deg_s, time_s, q):
-    return -1.0 - q[0]
-def pushes(theta_deg, omega_deg_s, time_s, q):
-    return q[0] * math.tanh(omega_deg_s)
-def stairs(duty_pct, period_s, q):
-    return duty_pct * (1.0 + 0.1 * math.floor(q[0] * 50.0 + 0.5))
-def hunts(theta_deg, omega_deg_s, time_s, q):
-    return q[0] * math.sin(0.5 * time_s)
-size = (Parameter("level_pct", "%", 1.0, 0.0, 5.0),)
-for name, key, hook in (("never_off", "torque", never_off), ("pushes", "torque", pushes), ("stairs", "command", stairs),
-                        ("hunts", "torque", hunts)):
-    fiohost.register_effect(Effect(name, name, name, "torque", size, "a test", substep_s=0.0025, **{key: hook}))
-wrong = (Parameter("level_pct", "%", 9.0, 0.0, 5.0),)
-fiohost.register_effect(Effect("beyond", "beyond", "beyond", "torque", wrong, "a test", torque=hunts))
-for name in ("never_off", "pushes", "stairs", "hunts", "beyond"):
-    print(name, [c.name for c in fiohost.check_effect(name) if not c.passed])
-"""
-
-
-def test_each_check_finds_what_it_is_for(tmp_path: Path) -> None:
-    run = python(tmp_path, "-c", BAD)
-    assert run.returncode == 0, run.stderr
-    found = dict(line.split(" ", 1) for line in run.stdout.splitlines())
-    assert "neutral" in found["never_off"]
-    assert "energy" in found["pushes"]
-    assert "derivative" in found["stairs"]
-    assert "steady" in found["hunts"]
-    assert "bounds" in found["beyond"]
+def test_each_check_finds_what_it_is_for(installed: Path) -> None:
+    run = python(installed, "-m", "fiohost", "effects", "check", *WRONG_IN, "--json", "bad.json")
+    assert run.returncode == 1
+    assert "not every check is passed: never_off (neutral)" in run.stderr
+    for told in json.loads((installed / "bad.json").read_text())["effects"]:
+        failed = [check["name"] for check in told["checks"] if not check["passed"]]
+        assert WRONG_IN[told["name"]] in failed, told
 
 
 # ---- files ---------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ ROUNDING = 1e-5
 FASTEST_DEG_S = 1e9
 # Where a size begins at its neutral value, and the whole range is too much: this share of it.
 TRIED = 0.02
-START_DEG_S, ALONE_S, HOLD_S = 300.0, 10.0, 12.0
+START_DEG_S, ALONE_S, HOLD_S = 300.0, 10.0, 30.0
 HELD_PCT = (60.0, -60.0, 20.0, 100.0)
 
 
