@@ -52,7 +52,8 @@ TAIL = """
 
 One file in `fiohost/motor/effects/` with the equation, parameters, bounds, the sign that physics allows, what it is
 equivalent to and where it comes from; one file in `firmware_model/effects/`, written apart from it, so that a fault in
-one is visible to the other; one test. Then run `benchmarks/limits.py` and write this page anew.
+one is visible to the other; one test. Then run `benchmarks/limits.py` and write this page anew. An effect of your own
+needs no change here: see [own-effect.md](own-effect.md).
 """
 
 

@@ -102,13 +102,18 @@ def coasting(volts, emf, share, lost, ohms, most, periods):  # type: ignore[no-u
         return way * max(min(up + 2.0 * lost, 0.0) / ohms, -most)
     a = periods / ohms
     rises, fall, limit = share, 1.0, most * ohms
+    if down <= -limit:  # turned so fast against the pulses that it stays at its limit through the pause
+        return way * most
     if limit < up:
         rises = min(share, -a * log1p(-limit / up))
     if down > 0.0:
         peak = -up * expm1(-rises / a) if a > 0.0 else up
         fall = a * log1p(peak / down)
-    if fall >= 1.0 - share:
-        return way * min((share * up - (1.0 - share) * down) / ohms, most)
+    if fall >= 1.0 - share:  # it never ceases: its mean follows the mean voltage, unless it is limited in each period
+        fall, rises = 1.0 - share, share
+        if limit < up:
+            begins = (limit + down) * exp(-fall / a) - down if a > 0.0 else limit
+            rises = min(share, a * log((up - begins) / (up - limit)))
     return way * (rises * up - down * fall + ((share - rises) * limit if rises < share else 0.0)) / ohms
 
 
