@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 from short_runs import logs_of, random_steps, staircase
 
+from fiohost.advice.limit import Limit, shipped
 from fiohost.bench.connect import connect
 from fiohost.bench.log import Log
 from fiohost.circle import detection
 from fiohost.circle.plan import SUITE, suite
 from fiohost.cli.main import cli
-from fiohost.discover.limit import Limit, shipped
 from fiohost.discover.metrics import judge
 from fiohost.discover.search import Search
 from fiohost.discover.stage import Stage

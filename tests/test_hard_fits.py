@@ -10,12 +10,12 @@ import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 
 from fiohost.discover import search, strategy
-from fiohost.discover.choose import folds
 from fiohost.discover.clock import in_sequence
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
-from fiohost.discover.refit import unstuck
+from fiohost.discover.optimise import unstuck
+from fiohost.discover.folds import folds
 from fiohost.discover.step import Found
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state

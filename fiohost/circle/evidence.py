@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from fiohost.advice.outlook import look_ahead
 from fiohost.bench.log import Log
+from fiohost.checks.said import said_by
 from fiohost.circle.menu import menu
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.outlook import look_ahead
-from fiohost.discover.said import said_by
 from fiohost.errors import DataError
 from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model

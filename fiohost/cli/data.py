@@ -13,8 +13,8 @@ from fiohost.cli.output import json_option, output_for
 from fiohost.files import claim
 
 if TYPE_CHECKING:
+    from fiohost.advice.limit import Measured
     from fiohost.cli.output import Output
-    from fiohost.discover.limit import Measured
     from fiohost.motor.effect import Effect, Parameter
 
 
@@ -86,7 +86,7 @@ def effects(
       fiohost effects --brief
       fiohost effects --limits run1.csv run2.csv --model linear+coulomb_friction
     """
-    from fiohost.discover.limit import shipped
+    from fiohost.advice.limit import shipped
     from fiohost.motor.effect import effect
     from fiohost.motor.effect import effects as library
 

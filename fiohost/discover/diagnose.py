@@ -12,18 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fiohost.discover.clock import in_sequence
+from fiohost.advice.outlook import Outlook
+from fiohost.checks.preliminary import Preliminary, examine
+from fiohost.checks.said import Said
+from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import believed
-from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
+from fiohost.discover.ladder import in_sequence, searched
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.outlook import Outlook
-from fiohost.discover.preliminary import Preliminary, examine
-from fiohost.discover.round import Candidate, Progress
-from fiohost.discover.said import Said
+from fiohost.discover.missing_torque import Dependence, dependences
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
-from fiohost.discover.strategy import searched
 from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.discover.workers import each

@@ -9,8 +9,8 @@ from typing import Any
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
-from fiohost.discover.likelihood import SETTINGS as SEARCH
 from fiohost.discover.metrics import Errors, pool
+from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
 from fiohost.discover.units import LOG_UNIT, in_metres
 from fiohost.discover.verdict import Excess

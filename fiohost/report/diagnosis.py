@@ -9,8 +9,8 @@ import numpy as np
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 if TYPE_CHECKING:
+    from fiohost.advice.empirical import Empirical
     from fiohost.discover.diagnose import Diagnosis
-    from fiohost.discover.empirical import Empirical
 
 TORQUE = "torque"
 VARIABLE_LABELS = {

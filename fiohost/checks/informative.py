@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
-from fiohost.discover.exercised import Exercised, exercise
-from fiohost.discover.said import Said
+from fiohost.checks.exercised import Exercised, exercise
+from fiohost.checks.said import Said
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
 

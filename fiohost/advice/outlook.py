@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fiohost.discover.empirical import Empirical, empirical_term
-from fiohost.discover.limit import Limit
-from fiohost.discover.limits import detection_limits
-from fiohost.discover.next_experiment import NextExperiment, Offer, propose
-from fiohost.discover.round import Progress
+from fiohost.advice.empirical import Empirical, empirical_term
+from fiohost.advice.limit import Limit
+from fiohost.advice.limits import detection_limits
+from fiohost.advice.next_experiment import NextExperiment, Offer, propose
+from fiohost.discover.candidate import Progress
 
 if TYPE_CHECKING:
     from fiohost.discover.diagnose import Diagnosis

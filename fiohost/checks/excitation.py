@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from fiohost.discover.exercised import Exercised
-from fiohost.discover.informative import (
+from fiohost.checks.exercised import Exercised
+from fiohost.checks.informative import (
     FEW_LEVELS,
     FEW_REVERSALS,
     FEW_STARTS,

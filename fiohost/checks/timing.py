@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fiohost.discover.counts import AT_SPEED, COUNT_NOISE, ROUGHEST_COUNTS, roughness, spread
-from fiohost.discover.finding import Case, Finding
+from fiohost.checks.counts import AT_SPEED, COUNT_NOISE, ROUGHEST_COUNTS, roughness, spread
+from fiohost.checks.finding import Case, Finding
 
 LEAST_SAMPLES = 100
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.counts import COUNT_NOISE, Counts
-from fiohost.discover.said import Said
+from fiohost.checks.counts import COUNT_NOISE, Counts
+from fiohost.checks.said import Said
 from fiohost.estimation.record import Record
 
 TIMES_SHOWN = 5

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from fiohost.discover.finding import Finding, Skipped
-from fiohost.discover.informative import Informative, inform
-from fiohost.discover.kinematics import check
-from fiohost.discover.said import Said
-from fiohost.discover.semantics import Semantics, ask
+from fiohost.checks.finding import Finding, Skipped
+from fiohost.checks.informative import Informative, inform
+from fiohost.checks.kinematics import check
+from fiohost.checks.said import Said
+from fiohost.checks.semantics import Semantics, ask
 from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from fiohost.discover.evidence import bench_angle
 from fiohost.discover.metrics import Judgement, pool
+from fiohost.discover.missing_torque import bench_angle
 from fiohost.discover.stage import Stage
 from fiohost.discover.windowed import Windowed
 from fiohost.estimation.fit import fit

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import welch
 
-from fiohost.discover.counts import quantum_of
-from fiohost.discover.said import Said
+from fiohost.checks.counts import quantum_of
+from fiohost.checks.said import Said
 from fiohost.estimation.record import ANGLE, Record
 
 # A shaft stands where its reading stays for so long, and has moved where it left by more counts than one flicker.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from fiohost.discover.limit import Limit
+from fiohost.advice.limit import Limit
 from fiohost.discover.metrics import WIDE, Judgement, weigh
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.stage import Stage

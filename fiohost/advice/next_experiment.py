@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.choose import STEP_SHARES, folds
-from fiohost.discover.excitation import lacks
-from fiohost.discover.exercised import Exercised
+from fiohost.checks.excitation import lacks
+from fiohost.checks.exercised import Exercised
+from fiohost.discover.folds import folds
 from fiohost.discover.metrics import judge, pool
+from fiohost.discover.score import STEP_SHARES
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.workers import each

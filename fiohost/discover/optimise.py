@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fiohost.discover.choose import slices
+from fiohost.discover.folds import slices
 from fiohost.discover.screen import Score, Trial
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged

@@ -1,6 +1,6 @@
 """The smallest visible size of an effect, and those of the shipped suite on the default plant, as data.
 
-Light: the list of effects shows them without loading what computes them (:mod:`fiohost.discover.limits`).
+Light: the list of effects shows them without loading what computes them (:mod:`fiohost.advice.limits`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Kinematics before dynamics: what is wrong with a log's raw data, found without a model of any motor.
 
 Thresholds come from the sensor: its step, its sample time, and the change of speed that the log itself shows to be in
-reach (``fiohost.discover.counts``). A fault is harm where it adds more to the squared error of the log than its counts
+reach (``fiohost.checks.counts``). A fault is harm where it adds more to the squared error of the log than its counts
 do, for then the fit would take it for dynamics. Nothing is mended here.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.counts import (
+from fiohost.checks.counts import (
     AT_SPEED,
     counts_of,
     doubt,
@@ -20,10 +20,10 @@ from fiohost.discover.counts import (
     repeats,
     spikes,
 )
-from fiohost.discover.finding import Case, Finding, Skipped
-from fiohost.discover.order_locked import SPEED_RATIO, Ripple, ripples
-from fiohost.discover.said import Said
-from fiohost.discover.timing import doubtful_rows, found_step, irregular_stamps, missing_ticks, sampling_jitter
+from fiohost.checks.finding import Case, Finding, Skipped
+from fiohost.checks.order_locked import SPEED_RATIO, Ripple, ripples
+from fiohost.checks.said import Said
+from fiohost.checks.timing import doubtful_rows, found_step, irregular_stamps, missing_ticks, sampling_jitter
 from fiohost.estimation.record import ANGLE, Record
 
 TURN_DEG = 360.0

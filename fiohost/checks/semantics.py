@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.asked import (
+from fiohost.checks.asked import (
     BELIEVED,
     FIRST,
     ROUGH,
@@ -23,7 +23,7 @@ from fiohost.discover.asked import (
     pieces,
     shifted,
 )
-from fiohost.discover.said import Said
+from fiohost.checks.said import Said
 from fiohost.discover.workers import each
 from fiohost.errors import FiohostError
 from fiohost.estimation.fit import Fit, best_of, first_guess
