@@ -52,7 +52,7 @@ def searched(
     windows = Windows(train)
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
     by_windows = Search(windows, np.random.default_rng(NOISE_SEED), shown, say)
-    begun = Node(windows.settled(root.state.fit))
+    begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
     if exact:
         near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
@@ -63,7 +63,13 @@ def searched(
                 steps = (*again.steps[:-1], replace(again.steps[-1], stage=whole.stage(again))) if again.steps else ()
                 return whole.found(root, replace(again, steps=steps))
     found = by_windows.found(begun, seen)
-    return replace(found, white=by_windows.white(seen))
+    found = replace(found, white=by_windows.white(seen))
+    if exact and not (found.white and found.final.follows):
+        far = Search(runs, rng, library, say, anew=True)
+        best = far.run(root)
+        if far.explains(best):
+            return far.found(root, best)
+    return found
 
 
 def noisy_sensor(records: Sequence[Record]) -> bool:

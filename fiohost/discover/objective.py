@@ -60,8 +60,8 @@ class Objective:
         """Whether there are fewer than three experiments."""
         return len(self.records) > len(self.train)
 
-    def settled(self, fitted: Fit, like: State | None = None) -> State:
-        """The state of a fit, its deviance comparable with that of another ``like`` it."""
+    def settled(self, fitted: Fit) -> State:
+        """The state of a fit, its deviance comparable with those of others."""
         raise NotImplementedError
 
     def screens(self, state: State) -> list[Screen]:
@@ -88,7 +88,7 @@ class Objective:
 class WholeRuns(Objective):
     """Free runs of whole records: counts are all that a true model leaves."""
 
-    def settled(self, fitted: Fit, like: State | None = None) -> State:
+    def settled(self, fitted: Fit) -> State:
         n = max(fitted.samples, 1.0)
         return State(fitted, tuple(self.records), n * float(np.log(max(fitted.cost / n, 1e-300))))
 
@@ -114,8 +114,14 @@ class Windows(Objective):
     def bare(self) -> list[Record]:
         return plain(self.records)
 
-    def settled(self, fitted: Fit, like: State | None = None) -> State:
-        found = settle(fitted.model, self.records, fitted.starts, like.moving if like else None)
+    def __init__(self, train: Sequence[Record]) -> None:
+        super().__init__(train)
+        # Restricted likelihoods compare only where the same is projected off: the shaft stands where the first says.
+        self._moving: tuple[np.ndarray, ...] | None = None
+
+    def settled(self, fitted: Fit) -> State:
+        found = settle(fitted.model, self.records, fitted.starts, self._moving)
+        self._moving = found.moving
         return State(found.fit, found.records, found.deviance, found.noise, found.moving)
 
     def screens(self, state: State) -> list[Screen]:

@@ -18,7 +18,7 @@ from fiohost.discover.missing_torque import dependences
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import draw_null
 from fiohost.discover.objective import Objective, State
-from fiohost.discover.optimise import again, full_fit, polish, rough_fit, searched_again, unstuck
+from fiohost.discover.optimise import again, fit_anew, full_fit, polish, rough_fit, searched_again, unstuck
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SETTINGS, SearchSettings
@@ -67,7 +67,7 @@ class Child:
 
 
 class Search:
-    """One search over one objective."""
+    """One search over one objective; ``anew`` lets candidates begin from values of their own where none comes close."""
 
     def __init__(
         self,
@@ -76,7 +76,10 @@ class Search:
         library: Sequence[str] | None,
         say: Progress,
         settings: SearchSettings = SETTINGS,
+        *,
+        anew: bool = False,
     ) -> None:
+        self.anew = anew
         self.objective, self.rng, self.library, self.say, self.settings = objective, rng, library, say, settings
         self.told: list[Candidate] = []
         self._blocks: dict[str, tuple[State, np.ndarray]] = {}
@@ -88,8 +91,8 @@ class Search:
         return node._stage
 
     def declared(self, model: Model, from_file: bool) -> Node:
-        """Where every search begins: the declared model fitted to whole runs."""
-        fitted = fit_from_scratch(model, self.objective.records, keep_start=from_file)
+        """Where every search begins: the declared model fitted."""
+        fitted = fit_from_scratch(model, self.objective.records, keep_start=from_file, windows=self.objective.windows)
         return Node(self.finished(self.objective.settled(fitted)))
 
     def run(self, root: Node) -> Node:
@@ -158,6 +161,16 @@ class Search:
             jobs += [(x, screen.fit, screen.records) for x in worth]
         self.say(f"refitting {len({x.effect.name for x, _, _ in jobs})} of them")
         rough = each(lambda job: self._rough(*job), jobs)
+        floor = np.inf if windows else self.stage(node).floor_rms
+        if not windows and min(f.rms for f in rough) > s.lost * floor:
+            self.say("whole runs are far from the floor with every effect")
+            if not self.anew:
+                return []
+            self.say("beginning anew with each of them")
+            jobs = [(x, screens[0].fit, screens[0].records) for x in ranked[0]]
+            rough = each(lambda job: fit_anew(job[1], job[0], job[2]), jobs)
+            if min(f.rms for f in rough) > s.lost * floor:
+                return []
         pairs = [(base, f) for (_, base, _), f in zip(jobs, rough, strict=True)]
         gains = [base.samples * float(np.log(base.cost / max(f.cost, 1e-300))) for base, f in pairs]
         order = [i for i in np.argsort(gains)[::-1]]
@@ -167,17 +180,11 @@ class Search:
             near = gains[i] >= gains[order[0]] - jobs[i][1].samples * np.log(s.hopeless)
             if name not in kept and near and len(kept) < (s.finalists_in_windows if windows else s.finalists):
                 kept[name] = int(i)
-        floor = np.inf
-        if not windows:
-            floor = self.stage(node).floor_rms
-            if min(f.rms for f in rough) > s.lost * floor:
-                self.say("whole runs stay too far from the floor with every effect")
-                return []
 
         def finished(i: int) -> Child:
             score, _, records = jobs[i]
             found = full_fit(rough[i], score.effect, records, s.lost * floor)
-            state = self.objective.settled(found, node.state)
+            state = self.objective.settled(found)
             return Child(score, state, node.state.deviance - state.deviance)
 
         return sorted(each(finished, list(kept.values())), key=lambda c: c.state.price)
@@ -205,8 +212,8 @@ class Search:
             above = 1.0 - (left**2 - 1.0) / max((node.state.fit.rms / self.stage(node).floor_rms) ** 2 - 1.0, 1e-12)
             if above < s.least_of_rest:
                 return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
-        group = None if of.shown or (of.once and finished) else only_in(found, name, self.objective.groups)
-        if group is not None and not (whole and self.stage(node).left_of(found, group) <= s.finished):
+        group = only_in(found, name, self.objective.groups) if whole and not (of.shown or of.once) else None
+        if group is not None and self.stage(node).left_of(found, group) > s.finished:
             return f"only {self.objective.records[group[0]].name} shows it"
         if of.once and finished:
             return None  # no other record can confirm it
@@ -248,7 +255,7 @@ class Search:
         better = polish(child.state.fit, child.state.records, self.rng)
         if better is child.state.fit or objection(better, child.name):
             return child
-        state = self.objective.settled(better, child.state)
+        state = self.objective.settled(better)
         return Child(child.score, state, child.gain + child.state.deviance - state.deviance)
 
     def rivals(self, child: Child, accepted: Sequence[Child]) -> dict[str, Model]:
@@ -285,7 +292,7 @@ class Search:
     def finished(self, state: State) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
         if self.objective.windows:
-            return self.objective.settled(state.fit)
+            return state
         found, records = state.fit, self.objective.records
         if any(found.model.parameter(n).ragged for n in found.names) and not self.stage(Node(state)).at_floor:
             better = searched_again(found, records)
@@ -304,7 +311,7 @@ class Search:
         """A state without those of some effects that the deviance does not ask for any more, and which."""
         dropped = []
         for name in names:
-            less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records), state)
+            less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records))
             if less.deviance - state.deviance < max(self.settings.margin * level, self.settings.equal_deviance):
                 self.say(f"{name} is no longer needed")
                 state = less
@@ -319,6 +326,8 @@ class Search:
     def white(self, node: Node) -> bool:
         """Whether what a node leaves in windows is noise: white, and followed by nothing."""
         state = node.state
+        if state.noise is None or state.noise.torque_pct.value > self.settings.most_torque_pct:
+            return False
         null = draw_null(self.objective, state, Screen(state.fit, state.records), [], self.rng, self.settings)
         stage = self.stage(node)
         follows = dependences(self.objective.train, stage.fit.model, stage.judgements, self.rng)

@@ -46,6 +46,8 @@ class SearchSettings:
     most_effects: int = 4
     # A share of the missing torque that follows the angle, the speed or the duty is no noise.
     follows: float = 0.1
+    # Nor is a torque that wanders by more than this share of full duty rms: benches that were measured stay below 2 %.
+    most_torque_pct: float = 5.0
     # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum.
     stuck: float = 2.0
 

@@ -106,7 +106,7 @@ def with_noise(
     found = []
     for record, moves in zip(records, moving, strict=True):
         times, edges = record.excitation.times_s, record.windows
-        whitener = Whitener.of(times, moves, edges[:-1], edges[1:], motor_of(record, model), noise)
+        whitener = Whitener.of(times, moves, record.weights, edges[:-1], edges[1:], motor_of(record, model), noise)
         found.append(replace(record, every=1, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 

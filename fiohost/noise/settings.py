@@ -19,17 +19,19 @@ class NoiseSettings:
     slowest_share: float = 0.15
     # From a torque that is white at the sample time to one that is constant within a window.
     times_s: tuple[float, float] = (0.01, 3.0)
-    time_looks: int = 9
+    time_looks: int = 7
     # Sensor noise as a share of what is left, from next to nothing to all of it.
     sensor_span: tuple[float, float] = (0.03, 1.5)
-    sensor_looks: int = 14
+    sensor_looks: int = 9
     # Torque in percent of duty: below, no bench can tell it; above, nothing would run.
     torque_span_pct: tuple[float, float] = (1e-3, 30.0)
-    torque_looks: int = 40
+    torque_looks: int = 16
     # The grid is drawn anew, closer, around what is within so much of the least deviance: more than any interval asks.
     sensor_zooms: int = 2
-    zooms: int = 2
+    zooms: int = 3
     near_deviance: float = 9.0
+    # A lag is taken to so much of itself: the shape of covariances does not hang on less.
+    lag_step: float = 0.05
     # 95 % intervals by profile likelihood (Wilks 1938): 3.84 where pieces are independent. Those that follow each other
     # share the torque, and counts are not normal: at 3.84 intervals held the truth 260 times of 288 on drawn sets.
     interval_deviance: float = 5.4
