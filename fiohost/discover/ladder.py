@@ -56,12 +56,11 @@ def searched(
     seen = by_windows.run(begun)
     if exact:
         near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
-        again = Node(whole.finished(runs.settled(near)), seen.steps)
+        again = Node(whole.finished(runs.settled(near)), seen.added)
         if whole.stage(again).fit.rms <= SETTINGS.lost * whole.stage(again).floor_rms:
             again = again if whole.explains(again) else whole.run(again)
             if whole.explains(again):
-                steps = (*again.steps[:-1], replace(again.steps[-1], stage=whole.stage(again))) if again.steps else ()
-                return whole.found(root, replace(again, steps=steps))
+                return whole.found(root, again)
     found = by_windows.found(begun, seen)
     found = replace(found, white=by_windows.white(seen))
     if exact and not (found.white and found.final.follows):
@@ -104,4 +103,4 @@ def _by_one_clock(whole: Search, model: Model, from_file: bool) -> Found | None:
     search = Search(runs, whole.rng, names, whole.say)
     root = search.declared(model, from_file)
     best = search.run(root)
-    return replace(search.found(root, best), one_clock=True) if best.steps and search.explains(best) else None
+    return replace(search.found(root, best), one_clock=True) if best.added and search.explains(best) else None

@@ -8,7 +8,7 @@ that is left. Both give a deviance, -2 log likelihood but for a constant, and ev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from fiohost.discover.floor import replica_errors
 from fiohost.discover.folds import folds
 from fiohost.discover.screen import Screen
 from fiohost.discover.stage import Stage, judged
-from fiohost.discover.whitened import drawing, plain, settle, with_noise
+from fiohost.discover.whitened import drawing, plain, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.noise.estimate import Noise
@@ -78,7 +78,8 @@ class Objective:
 
     def stage(self, state: State, rng: np.random.Generator) -> Stage:
         """A state judged on whole records."""
-        raise NotImplementedError
+        train = drawing(self.train, state.noise) if state.noise else self.train
+        return judged(state.fit, state.records, train, rng)
 
     def draw(self, state: State, rng: np.random.Generator) -> list[np.ndarray]:
         """One bootstrap sample of what a state leaves, as it was fitted."""
@@ -100,9 +101,6 @@ class WholeRuns(Objective):
 
     def null(self, state: State, best: State) -> State:
         return state
-
-    def stage(self, state: State, rng: np.random.Generator) -> Stage:
-        return judged(state.fit, self.records, self.train, rng)
 
 
 class Windows(Objective):
@@ -133,12 +131,13 @@ class Windows(Objective):
 
     def null(self, state: State, best: State) -> State:
         assert best.noise is not None
-        records = with_noise(self.bare, state.fit.model, best.noise, state.moving)
-        return State(self._fitted(state.fit, records), records, state.deviance, best.noise, state.moving)
-
-    def stage(self, state: State, rng: np.random.Generator) -> Stage:
         assert state.noise is not None
-        return judged(state.fit, state.records, drawing(self.train, state.noise), rng)
+        # How runs differ is known of few: what the candidate takes for its own may as well be that.
+        noise = replace(best.noise, runs=state.noise.runs)
+        records = with_noise(self.bare, state.fit.model, noise, state.moving)
+        if noise.runs.known:
+            records = with_scatter(state.fit, records, noise)
+        return State(self._fitted(state.fit, records), records, state.deviance, noise, state.moving)
 
     @staticmethod
     def _fitted(found: Fit, records: Sequence[Record]) -> Fit:

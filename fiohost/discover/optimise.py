@@ -92,16 +92,23 @@ def _cost(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fals
     return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash).cost
 
 
-def rough_fit(base: Fit, score: Score, records: Sequence[Record], window_starts: int = WINDOW_STARTS) -> Fit:
+def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     """The base model with one effect added: the best of a few steps from each of its best trials."""
-    trials = [*score.trials[:STARTS]]
-    looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
-    trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
     if base.windows:  # nearly convex, and dearer: fewer starts will do
-        trials = sorted(trials, key=lambda t: _plain_cost(base, score.effect, t, records))[:window_starts]
-    starts = [base.model.with_effect(score.effect.name, trial) for trial in trials]
-    rough = [again(base, m, records, 5, 1e-2) for m in starts]
+        trials = [*score.trials[:1], *score.raw[:1], *score.trials[1:]]
+        trials = [t for i, t in enumerate(trials) if t not in trials[:i]][:WINDOW_STARTS]
+    else:
+        trials = [*score.trials[:STARTS]]
+        looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
+        trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
+    first = base.model.with_effect(score.effect.name, trials[0])
+    starts = _starts(base, first, records)
+    rough = [_from(base, base.model.with_effect(score.effect.name, t), starts, records) for t in trials]
     return min(rough, key=lambda f: f.cost)
+
+
+def _from(base: Fit, model: Model, starts: Sequence[Start], records: Sequence[Record]) -> Fit:
+    return fit(model, records, windows=base.windows, starts=starts, max_iterations=5, tolerance=1e-2)
 
 
 def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:

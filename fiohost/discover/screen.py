@@ -36,7 +36,8 @@ Trial = dict[str, Value]
 class Direction:
     """One way in which an effect may act: trial values, and the orthonormal signatures (n, k) they leave.
 
-    ``share`` is the part of the residual's power along them, zero where physics forbids the sign. Of an effect bound to
+    ``share`` is the part of the residual's power along them, zero where physics forbids the sign; ``as_it_is`` what the
+    trial removes of that power at the size that it has. Of an effect bound to
     the angle there is a sine and a cosine for each zero of angle that the logs have: one size, a phase each, so
     ``weights`` are the sizes that belong together (none: one).
     """
@@ -45,14 +46,15 @@ class Direction:
     basis: np.ndarray
     share: float
     weights: tuple[float, ...] = (1.0,)
+    as_it_is: float = 0.0
 
 
 @dataclass(frozen=True)
 class Score:
     """One effect against the residual: its directions, best first, and the trials from which to refit it.
 
-    ``raw`` are the trials as the library gives them: a size that grows from nothing says little of an effect whose
-    other parameters shape it, so these are looked at as they are.
+    ``raw`` are the trials as the library gives them, the best first: a size that grows from nothing says little of an
+    effect whose other parameters shape it.
     """
 
     effect: Effect
@@ -156,7 +158,9 @@ class Screen:
             return Direction(trial, np.zeros((len(signature), 1), dtype=np.float32), 0.0)
         along = float(signature @ self.residual) / size
         share = along * along / self.power if along > 0.0 or not one_sided else 0.0
-        return Direction(_scaled(effect, trial, along / size), (signature / size)[:, None].astype(np.float32), share)
+        as_it_is = (2.0 * along * size - size * size) / self.power
+        unit = (signature / size)[:, None].astype(np.float32)
+        return Direction(_scaled(effect, trial, along / size), unit, share, as_it_is=as_it_is)
 
     def _pair(self, effect: Effect, sine: Trial, cosine: Trial) -> Direction:
         """A sine and a cosine together: any phase, so any sign; a phase for each zero of angle."""
@@ -199,7 +203,8 @@ class Screen:
             if not effect.linear_pairs and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
-        raw = () if effect.linear_pairs else tuple(trials)
+        by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
+        raw = () if effect.linear_pairs else tuple(trials[i] for i in by_size)
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
 
 

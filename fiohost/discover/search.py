@@ -31,19 +31,6 @@ from fiohost.motor.model import Model
 from fiohost.noise.whiten import is_white, unevenness
 
 
-@dataclass
-class Node:
-    """A structure on the way: its state, how it came about, and what its last round offered."""
-
-    state: State
-    steps: tuple[Step, ...] = ()
-    _stage: Stage | None = field(default=None, repr=False)
-
-    @property
-    def names(self) -> frozenset[str]:
-        return frozenset(s.effect for s in self.steps)
-
-
 @dataclass(frozen=True)
 class Child:
     """A candidate carried to its minimum beside a node, and by how much its deviance is below that node's."""
@@ -64,6 +51,33 @@ class Child:
     @property
     def commonness(self) -> tuple[int, int]:
         return len(self.score.effect.parameters), self.score.effect.commonness
+
+
+@dataclass(eq=False)
+class Node:
+    """A structure on the way: its state, and what was added in turn to come there."""
+
+    state: State
+    added: tuple[Added, ...] = ()
+    _stage: Stage | None = field(default=None, repr=False)
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(a.child.name for a in self.added)
+
+
+@dataclass(eq=False)
+class Added:
+    """An effect that a search added to the node ``before``, with the ``accepted`` candidates beside it, the ``level``
+    that chance reached, and the node ``after`` it.
+    """
+
+    by: Search
+    child: Child
+    before: Node
+    accepted: Sequence[Child]
+    level: float
+    after: Node | None = None
 
 
 class Search:
@@ -97,23 +111,20 @@ class Search:
 
     def run(self, root: Node) -> Node:
         """The best structure that the data speak for."""
-        beam = [root]
-        best = root
-        while len(beam[0].steps) < self.settings.most_effects and not self.explains(beam[0]):
+        beam, best = [root], root
+        while len(best.added) < self.settings.most_effects and not self.explains(best):
             grown: dict[frozenset[str], Node] = {}
             for node in beam:
                 for child in self.expand(node):
                     was = grown.get(child.names)
                     if was is None or child.state.price < was.state.price:
                         grown[child.names] = child
+                if not grown:
+                    break  # beside the best one nothing is missing
             beam = sorted(grown.values(), key=lambda n: n.state.price)[: self.settings.beam]
-            if not beam:
+            if not beam or (best is not root and beam[0].state.price >= best.state.price):
                 break
-            if beam[0].state.price < best.state.price or best is root:
-                best = beam[0]
-            following = next((n for n in beam if self.explains(n)), None)
-            if following:
-                return following
+            best = next((n for n in beam if self.explains(n)), beam[0])
         return best
 
     def explains(self, node: Node) -> bool:
@@ -124,7 +135,7 @@ class Search:
         """The nodes with one more effect that the data speak for, the best first."""
         screens = self.objective.screens(node.state)
         offered = candidates(node.state.fit.model, self.objective.records, self.library)
-        if node.steps:  # the little that another effect leaves can always be blamed on an event
+        if node.added:  # the little that another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
         ranked = [sorted(each(s.score, offered), key=lambda x: x.share, reverse=True) for s in screens]
@@ -208,7 +219,7 @@ class Search:
         why = objection(found, name)
         if why is not None:
             return why
-        if whole and node.steps:
+        if whole and node.added:
             above = 1.0 - (left**2 - 1.0) / max((node.state.fit.rms / self.stage(node).floor_rms) ** 2 - 1.0, 1e-12)
             if above < s.least_of_rest:
                 return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
@@ -272,22 +283,10 @@ class Search:
     def grown(self, node: Node, child: Child, accepted: Sequence[Child], level: float) -> Node:
         """A node with a candidate added, its fit finished, what it no longer needs dropped."""
         self.say(f"adding {child.name}")
-        rivals = self.rivals(child, accepted)
-        state = self.finished(child.state)
-        evidence: dict[str, object] = {
-            "residual_power_removed": child.share,
-            "by_chance": 1.0 - float(np.exp(-level / max(state.fit.samples, 1.0))),
-            "deviance_gained": child.gain,
-            "deviance_by_chance": level,
-        }
-        state, dropped = self.needed(state, [s.effect for s in node.steps], level)
-        new = Node(state, node.steps)
-        stage = self.stage(new)
-        follows = dependences(self.objective.train, self.stage(node).fit.model, self.stage(node).judgements, self.rng)
-        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
-        steps = [s for s in node.steps if s.effect not in dropped]
-        step = Step(child.name, stage, evidence, named_with(child.name, rivals), rivals)
-        return Node(state, (*steps, step), stage)
+        state, dropped = self.needed(self.finished(child.state), node.names, level)
+        added = Added(self, child, node, accepted, level)
+        added.after = Node(state, (*(a for a in node.added if a.child.name not in dropped), added))
+        return added.after
 
     def finished(self, state: State) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
@@ -307,10 +306,10 @@ class Search:
             return state
         return self.objective.settled(better)
 
-    def needed(self, state: State, names: Sequence[str], level: float) -> tuple[State, list[str]]:
+    def needed(self, state: State, names: frozenset[str], level: float) -> tuple[State, list[str]]:
         """A state without those of some effects that the deviance does not ask for any more, and which."""
         dropped = []
-        for name in names:
+        for name in [e for e in state.fit.model.effects if e in names]:
             less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records))
             if less.deviance - state.deviance < max(self.settings.margin * level, self.settings.equal_deviance):
                 self.say(f"{name} is no longer needed")
@@ -319,9 +318,26 @@ class Search:
         return state, dropped
 
     def found(self, root: Node, node: Node) -> Found:
-        """What the search came to."""
-        stages = (self.stage(root), self.stage(node)) if node.steps else (self.stage(root),)
-        return Found(stages, node.steps, tuple(self.told), noise=node.state.noise)
+        """What the search came to: every name with its stage, its evidence and what these data cannot tell from it."""
+        stages = (self.stage(root), self.stage(node)) if node.added else (self.stage(root),)
+        steps = tuple(a.by.step(a, self.stage(node) if a is node.added[-1] else None) for a in node.added)
+        return Found(stages, steps, tuple(self.told), noise=node.state.noise)
+
+    def step(self, added: Added, final: Stage | None) -> Step:
+        """What was added, its stage the ``final`` one or the one just after it."""
+        child, before = added.child, self.stage(added.before)
+        n = max(child.state.fit.samples, 1.0)
+        follows = dependences(self.objective.train, before.fit.model, before.judgements, self.rng)
+        evidence: dict[str, object] = {
+            "residual_power_removed": child.share,
+            "by_chance": 1.0 - float(np.exp(-added.level / n)),
+            "deviance_gained": child.gain,
+            "deviance_by_chance": added.level,
+            "missing_torque_follows": {d.variable: d.to_json() for d in follows if d.significant},
+        }
+        rivals = self.rivals(child, added.accepted)
+        after = final or (self.stage(added.after) if added.after else before)
+        return Step(child.name, after, evidence, named_with(child.name, rivals), rivals)
 
     def white(self, node: Node) -> bool:
         """Whether what a node leaves in windows is noise: white, and followed by nothing."""

@@ -202,9 +202,7 @@ def windowed(
 
 def whitened(record: Record, series: np.ndarray) -> np.ndarray:
     """A series (n) over a record's windows as a fit sees it: whitened where the record's noise is known."""
-    if record.disturbance is None or record.disturbance.whitener is None:
-        return series
-    return record.disturbance.whitener.apply(series)
+    return record.disturbance.whitened(series) if record.disturbance else series
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from fiohost.noise import covariance
+from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 
@@ -30,7 +31,8 @@ class Ranged:
 @dataclass(frozen=True)
 class Noise:
     """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
-    with the correlation time ``torque_s``. ``deviance`` is -2 log likelihood; ``samples`` are those that it is from.
+    with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
+    ``samples`` are those that it is from.
     """
 
     sensor: Ranged
@@ -38,6 +40,7 @@ class Noise:
     torque_s: Ranged
     deviance: float = 0.0
     samples: int = 0
+    runs: RunToRun = NO_SCATTER
 
     @property
     def torque_known(self) -> bool:
