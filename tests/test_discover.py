@@ -10,10 +10,10 @@ from bench_data import QUANTUM_DEG, TRUTH, measure, multisine, steps, suite, tru
 
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.floor import repeats
+from fiohost.discover.folds import folds, slices
 from fiohost.discover.metrics import judge
 from fiohost.discover.missing_torque import missing_torque
 from fiohost.discover.result import to_json
-from fiohost.discover.folds import folds, slices
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import make_record

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 
-from fiohost.discover import search, strategy
-from fiohost.discover.clock import in_sequence
+from fiohost.discover import search
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.folds import folds
+from fiohost.discover.ladder import in_sequence
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
 from fiohost.discover.optimise import unstuck
-from fiohost.discover.folds import folds
-from fiohost.discover.step import Found
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
@@ -159,18 +158,6 @@ def test_where_whole_runs_can_never_be_followed_the_commonest_is_named_and_the_o
     (step,) = found.steps
     assert step.effect == "coulomb_friction"
     assert {"constant_load", "input_deadband", "bridge_voltage_drop"} <= {*step.indistinguishable_from}
-
-
-def test_a_name_that_explains_less_than_half_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    def poorly(begun: search.Search, found: Found) -> Found:
-        monkeypatch.setattr(search, "_explained_share", lambda before, after: 0.49)
-        return search.only_commonest(begun, found)
-
-    monkeypatch.setattr(strategy, "only_commonest", poorly)
-    found = diagnose_records(runs_that_repeat_no_speed(), (), Model.parse("linear"), library=ONE_WAY)
-    assert found.verdict == "unexplained"
-    assert found.steps == ()
-    assert any("less than half" in (c.rejected_because or "") for c in found.candidates)
 
 
 def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:

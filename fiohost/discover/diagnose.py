@@ -71,7 +71,8 @@ class Diagnosis:
         """To what the final model explains the data: the sensor's counts, noise, or how far repeats of a run differ."""
         if self.verdict == "unexplained":
             return None
-        if any(f.source == "repeats" for f in self.final.floors):
+        scatter = self.noise_decided and self.noise is not None and self.noise.runs.known
+        if scatter or any(f.source == "repeats" for f in self.final.floors):
             return "repeatability"
         return "noise" if self.noise_decided else "sensor"
 
