@@ -106,9 +106,9 @@ def test_whitened_windows_are_white_and_of_unit_variance() -> None:
     draws = []
     for _ in range(20):
         residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
-        whitener = Whitener.of(
-            np.arange(len(residual)) * STEP_S, np.ones(len(residual), dtype=bool), np.ones(len(residual)), edges[:-1], edges[1:], motor, known
-        )
+        n = len(residual)
+        times, moves = np.arange(n) * STEP_S, np.ones(n, dtype=bool)
+        whitener = Whitener.of(times, moves, np.ones(n), edges[:-1], edges[1:], motor, known)
         white = whitener.apply(residual)
         assert float(white @ white) == pytest.approx((WINDOW - 2) * WINDOWS, rel=0.05)
         draws.append(unevenness([white], [edges]))

@@ -43,6 +43,23 @@ SHOWS = {
     "speed_sign": "triangle_slow",
 }
 OTHERWISE = "multisine"
+# For benches that this program does not drive: what the experiments of the menu do.
+IN_WORDS = {
+    "staircase": "hold the command at rising and falling levels in both directions, each until the speed has settled",
+    "pulses": "short pulses of several sizes from standstill, in both directions",
+    "multisine": "a sum of sines of several frequencies, large enough to turn the shaft both ways",
+    "multisine_fast": "a sum of sines up to the highest frequency that still moves the shaft",
+    "triangle_slow": "raise and lower the command slowly through zero, several times, so that the shaft reverses",
+    "sine_slow": "a slow sine through zero, several periods",
+    "sines_small": "small sines around zero, just enough to move the shaft",
+    "reversals": "reverse the direction again and again at several speeds",
+    "turns_slow": "turn the shaft (or move the axis) slowly over its whole travel, forward and back, at least twice",
+    "starts_slow": "start from rest many times with a command that rises slowly",
+    "steps_from_rest": "steps of several sizes from standstill, in both directions, each with a rest before it",
+    "coast": "bring the shaft to speed and let it coast to rest with the bridge off",
+    "ramp_full": "a slow ramp from zero to full command and back, in both directions",
+    "soak": "hold one command for minutes, twice, with a pause between",
+}
 
 
 @dataclass(frozen=True)
@@ -75,15 +92,27 @@ class Separation:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to run next and why; ``experiment`` is None where no experiment of the menu separates the rivals."""
+    """What to run next and why; ``experiment`` is None where no experiment of the menu separates the rivals, and tells
+    what to do where it is ``in_words``.
+    """
 
     why: str
     experiment: str | None
     rivals: tuple[str, ...] = ()
     separations: tuple[Separation, ...] = ()
+    in_words: bool = False
+
+    def for_another_bench(self) -> NextExperiment:
+        """The same for a bench that this program does not drive: what to do, in words."""
+        if self.experiment is None:
+            return self
+        words = IN_WORDS.get(self.experiment, self.experiment)
+        return replace(self, why=self.why.partition(": ")[0], experiment=words, in_words=True)
 
     def to_json(self) -> dict[str, object] | None:
-        return None if self.experiment is None else {"why": self.why, "experiment": self.experiment}
+        if self.experiment is None:
+            return None
+        return {"why": self.why, "experiment": self.experiment, "in_words": self.in_words}
 
     def separation_json(self) -> dict[str, object] | None:
         if not self.separations:

@@ -38,8 +38,10 @@ def look_ahead(
     limits: bool = False,
     library: Sequence[str] | None = None,
     say: Progress = lambda text: None,
+    another_bench: bool = False,
 ) -> Diagnosis:
-    """The diagnosis with its outlook; ``offers`` are the experiments that could be run.
+    """The diagnosis with its outlook; ``offers`` are the experiments that could be run, told in words where the logs
+    are of ``another_bench`` than this program drives.
 
     Detection limits of the ``library`` are found where nothing is missing, and by ``limits`` where effects explain all.
     """
@@ -52,6 +54,7 @@ def look_ahead(
             follows = term.variable if term else follows
         seen = found.preliminary.data.exercised
         upcoming = propose(found.verdict, found.final, found.steps, found.train, seen, follows, offers, say)
+        upcoming = upcoming.for_another_bench() if upcoming and another_bench else upcoming
         sizes: list[Limit] = []
         # Beside what is there and unexplained, no size of anything else can be told.
         if found.final.follows and (limits or not found.steps):

@@ -58,6 +58,7 @@ def diagnose(
     library: Sequence[str] | None = None,
     seed: int = 0,
     limits: bool = False,
+    tolerance_pct: float = 0.0,
     say: Callable[[str], None] = lambda text: None,
     announce: Callable[[Sequence[Log], Sequence[Log]], None] = lambda train, held: None,
 ) -> Diagnosis:
@@ -65,7 +66,8 @@ def diagnose(
 
     ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the
     logs and their roles before anything is fitted, ``say`` hears of progress. ``limits`` also asks how small effects
-    would have been seen where some were found. Raises FiohostError.
+    would have been seen where some were found. What is left is as good as nothing where windows
+    of 1 s err by less than ``tolerance_pct`` of the motion in them. Raises FiohostError.
     """
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
@@ -83,8 +85,10 @@ def diagnose(
         library=library,
         from_file=declared.given,
         seed=seed,
+        tolerance_pct=tolerance_pct,
         say=say,
         files=files,
         said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )
-    return look_ahead(found, menu(), limits=limits, library=library, say=say)
+    another = not any("target" in log.metadata for log in train)
+    return look_ahead(found, menu(), limits=limits, library=library, say=say, another_bench=another)

@@ -48,6 +48,12 @@ if TYPE_CHECKING:
 @click.option(
     "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
 )
+@click.option(
+    "--tolerance",
+    default="0",
+    metavar="P%",
+    help="What is left below this share of the motion in windows of 1 s does not matter, as 1%.",
+)
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
@@ -59,6 +65,7 @@ def diagnose(
     report: Path | None,
     table_map: str | None,
     limits: bool,
+    tolerance: str,
     seed: str,
 ) -> None:
     """Name what a declared model lacks, from logs, and report the error before and after on held-out ones; or from
@@ -97,7 +104,15 @@ def diagnose(
 
     with progress() as doing:
         found = run_diagnosis(
-            logs, holdout, declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
+            logs,
+            holdout,
+            declared,
+            table_map=table_map,
+            seed=drawn,
+            limits=limits,
+            tolerance_pct=_percent(tolerance),
+            say=doing,
+            announce=announce,
         )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)
@@ -116,6 +131,17 @@ def diagnose(
         save_plots(report, series, result, curves)
         write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
         say(f"page and plots in {report}")
+
+
+def _percent(text: str) -> float:
+    """A share in percent, with or without its sign. Raises ConfigError."""
+    try:
+        value = float(text.strip().removesuffix("%"))
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 100.0:
+        raise ConfigError(f"--tolerance {text} is no share from 0 to below 100 %; write it as 1%")
+    return value
 
 
 def _refuse_with_readings(given: Mapping[str, object]) -> None:

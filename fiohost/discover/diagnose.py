@@ -20,7 +20,7 @@ from fiohost.discover.degenerate import believed
 from fiohost.discover.floor import Floor, floors
 from fiohost.discover.ladder import in_sequence, searched
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.missing_torque import Dependence, dependences
+from fiohost.discover.missing_torque import Dependence, ForceCurve, dependences, force_curves
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.verdict import Excess, excesses
@@ -54,7 +54,14 @@ class Diagnosis:
     one_clock: bool = False
     noise: Noise | None = None
     noise_decided: bool = False
+    curves: tuple[ForceCurve, ...] = ()
     white: bool = False
+    tolerance_pct: float = 0.0
+
+    @property
+    def tolerable(self) -> bool:
+        """Whether what is left does not matter to the user."""
+        return self.tolerance_pct > 0.0 and self.final.left_pct <= self.tolerance_pct
 
     @property
     def final(self) -> Stage:
@@ -62,15 +69,19 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        if not self.final.follows or (self.noise_decided and not self.white):
+        if not self.tolerable and (not self.final.follows or (self.noise_decided and not self.white)):
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
 
     @property
     def explained_to(self) -> str | None:
-        """To what the final model explains the data: the sensor's counts, noise, or how far repeats of a run differ."""
+        """To what the final model explains the data: the sensor's counts, noise, how far repeats of a run differ, or
+        what the user tolerates.
+        """
         if self.verdict == "unexplained":
             return None
+        if not self.final.follows or (self.noise_decided and not self.white):
+            return "tolerance"
         scatter = self.noise_decided and self.noise is not None and self.noise.runs.known
         if scatter or any(f.source == "repeats" for f in self.final.floors):
             return "repeatability"
@@ -104,6 +115,7 @@ def diagnose_records(
     library: Sequence[str] | None = None,
     from_file: bool = False,
     seed: int = 0,
+    tolerance_pct: float = 0.0,
     say: Progress = lambda text: None,
     files: dict[str, dict[str, str]] | None = None,
     said: Mapping[str, Said] | None = None,
@@ -121,7 +133,7 @@ def diagnose_records(
     train, model = with_bench_zero(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})
+        return _diagnose(train, holdout, model, library, from_file, seed, tolerance_pct, say, files or {}, said or {})
 
 
 def _diagnose(
@@ -131,6 +143,7 @@ def _diagnose(
     library: Sequence[str] | None,
     from_file: bool,
     seed: int,
+    tolerance_pct: float,
     say: Progress,
     files: dict[str, dict[str, str]],
     said: Mapping[str, Said],
@@ -140,7 +153,7 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    found = believed(searched(train, model, library, from_file, rng, say, hidden), hidden)
+    found = believed(searched(train, model, library, from_file, rng, say, hidden, tolerance_pct), hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
@@ -150,11 +163,15 @@ def _diagnose(
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
+    left = dependences(train, final, stage.judgements, rng)
+    lacked = dependences(train, declared.fit.model, declared.judgements, rng) if steps else left
     return Diagnosis(
+        curves=tuple(force_curves(lacked, left)),
+        tolerance_pct=tolerance_pct,
         declared=declared,
         steps=tuple(steps),
         candidates=tuple(offered),
-        residual=tuple(dependences(train, final, stage.judgements, rng)),
+        residual=tuple(left),
         train=tuple(train),
         holdout=tuple(holdout),
         before_holdout=tuple(each(lambda r: judge(r, declared.fit.model), holdout)) if holdout else (),

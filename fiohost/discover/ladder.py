@@ -30,14 +30,16 @@ def searched(
     rng: np.random.Generator,
     say: Progress,
     hidden: Mapping[str, str],
+    tolerance_pct: float = 0.0,
 ) -> Found:
     """What a declared model lacks: by whole runs; where these cannot be followed, by windows under the noise that is
     left, without what is ``hidden`` from the logs; by whole runs again from there where they come near.
 
-    With few experiments windows come first: their whole runs have too many local minima.
+    With few experiments windows come first: their whole runs have too many local minima. What is left below
+    ``tolerance_pct`` of the motion is not asked about.
     """
     runs = WholeRuns(train)
-    whole = Search(runs, rng, library, say)
+    whole = Search(runs, rng, library, say, tolerance_pct=tolerance_pct)
     root = whole.declared(model, from_file)
     if whole.explains(root):
         return whole.found(root, root)
@@ -51,7 +53,7 @@ def searched(
     say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
     windows = Windows(train)
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
-    by_windows = Search(windows, np.random.default_rng(NOISE_SEED), shown, say)
+    by_windows = Search(windows, np.random.default_rng(NOISE_SEED), shown, say, tolerance_pct=tolerance_pct)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
     if exact:
@@ -64,7 +66,7 @@ def searched(
     found = by_windows.found(begun, seen)
     found = replace(found, white=by_windows.white(seen))
     if exact and not (found.white and found.final.follows):
-        far = Search(runs, rng, library, say, anew=True)
+        far = Search(runs, rng, library, say, anew=True, tolerance_pct=tolerance_pct)
         best = far.run(root)
         if far.explains(best):
             return far.found(root, best)

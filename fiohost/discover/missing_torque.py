@@ -134,6 +134,29 @@ class Dependence:
         return {"r2": self.r2, "chance_r2": self.chance_r2}
 
 
+@dataclass(frozen=True)
+class ForceCurve:
+    """The missing torque over a variable: ``points`` (m, 3) are its value, the torque in percent of duty that the
+    declared model lacks there, and what the final one still lacks; ``follows_pct`` is the share of the declared model's
+    missing torque that the curve takes, ``by_chance_pct`` what any would.
+    """
+
+    variable: str
+    points: np.ndarray
+    follows_pct: float
+    by_chance_pct: float
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "variable": self.variable,
+            "kind": "missing_torque",
+            "unit": "% of duty",
+            "follows_pct": self.follows_pct,
+            "by_chance_pct": self.by_chance_pct,
+            "points": self.points.tolist(),
+        }
+
+
 def bench_angle(record: Record, judgement: Judgement) -> np.ndarray | None:
     """The simulated angle (n) on the bench's turn, 0 to 360; None where the record's zero on it is not known."""
     if not record.rotary or record.kind != ANGLE or (record.own_zero and judgement.start.zero is None):
@@ -207,3 +230,21 @@ def dependences(
         centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
         found.append(Dependence(name, r2, float(np.quantile(chance, 0.99)), centres, means))
     return sorted(found, key=lambda d: d.r2 - d.chance_r2, reverse=True)
+
+
+def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:
+    """What declared (``before``) and final model (``after``) lack, over every variable that the first one's follows."""
+    left = {d.variable: d for d in after}
+    found = []
+    for d in before:
+        if not d.significant or d.variable not in left or d.variable == "speed_sign":
+            continue
+        other = left[d.variable]
+        there = np.isfinite(d.centres) & np.isfinite(d.means)
+        seen = np.isfinite(other.centres) & np.isfinite(other.means)
+        rest = (
+            np.interp(d.centres[there], other.centres[seen], other.means[seen]) if seen.any() else 0.0 * d.means[there]
+        )
+        points = np.column_stack((d.centres[there], d.means[there], rest))
+        found.append(ForceCurve(d.variable, points, 100.0 * d.r2, 100.0 * d.chance_r2))
+    return found

@@ -81,7 +81,9 @@ class Added:
 
 
 class Search:
-    """One search over one objective; ``anew`` lets candidates begin from values of their own where none comes close."""
+    """One search over one objective; ``anew`` lets candidates begin from values of their own where none comes close,
+    ``tolerance_pct`` is the share of the motion that does not matter.
+    """
 
     def __init__(
         self,
@@ -92,8 +94,9 @@ class Search:
         settings: SearchSettings = SETTINGS,
         *,
         anew: bool = False,
+        tolerance_pct: float = 0.0,
     ) -> None:
-        self.anew = anew
+        self.anew, self.tolerance_pct = anew, tolerance_pct
         self.objective, self.rng, self.library, self.say, self.settings = objective, rng, library, say, settings
         self.told: list[Candidate] = []
         self._blocks: dict[str, tuple[State, np.ndarray]] = {}
@@ -128,7 +131,11 @@ class Search:
         return best
 
     def explains(self, node: Node) -> bool:
-        """Whether whole runs follow the data; of noise only the null says when to stop."""
+        """Whether whole runs follow the data, or what is left does not matter to the user; of noise only the null says
+        when to stop.
+        """
+        if self.tolerance_pct > 0.0 and self.stage(node).left_pct <= self.tolerance_pct:
+            return True
         return not self.objective.windows and self.stage(node).follows
 
     def expand(self, node: Node) -> list[Node]:

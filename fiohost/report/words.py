@@ -11,7 +11,11 @@ from typing import Any
 
 DASH = "–"
 RUN_WORDS = {"linear.gain_deg_s_per_pct": "a gain", "constant_load.level_pct": "an offset load"}
-LEVELS = {"noise": "to within the noise", "repeatability": "to within what the bench repeats"}
+LEVELS = {
+    "noise": "to within the noise",
+    "repeatability": "to within what the bench repeats",
+    "tolerance": "to within what is asked",
+}
 MORE_HELD_OUT = " What was held out is not all followed by it."
 ROLE_WORDS = {"train": "training", "holdout": "held out"}
 
