@@ -16,10 +16,11 @@ import numpy as np
 from fiohost.discover.floor import replica_errors
 from fiohost.discover.folds import folds
 from fiohost.discover.screen import Screen
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage, judged
 from fiohost.discover.whitened import drawing, plain, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
-from fiohost.estimation.record import Record
+from fiohost.estimation.record import Record, thinned
 from fiohost.noise.estimate import Noise
 
 
@@ -60,8 +61,8 @@ class Objective:
         """Whether there are fewer than three experiments."""
         return len(self.records) > len(self.train)
 
-    def settled(self, fitted: Fit) -> State:
-        """The state of a fit, its deviance comparable with those of others."""
+    def settled(self, fitted: Fit, whitened: bool = False) -> State:
+        """The state of a fit, its deviance comparable with those of others; ``whitened`` says that it was fitted so."""
         raise NotImplementedError
 
     def screens(self, state: State) -> list[Screen]:
@@ -89,7 +90,7 @@ class Objective:
 class WholeRuns(Objective):
     """Free runs of whole records: counts are all that a true model leaves."""
 
-    def settled(self, fitted: Fit) -> State:
+    def settled(self, fitted: Fit, whitened: bool = False) -> State:
         n = max(fitted.samples, 1.0)
         return State(fitted, tuple(self.records), n * float(np.log(max(fitted.cost / n, 1e-300))))
 
@@ -114,11 +115,12 @@ class Windows(Objective):
 
     def __init__(self, train: Sequence[Record]) -> None:
         super().__init__(train)
+        self.records = [thinned(r, SETTINGS.window_step_s) for r in self.records]
         # Restricted likelihoods compare only where the same is projected off: the shaft stands where the first says.
         self._moving: tuple[np.ndarray, ...] | None = None
 
-    def settled(self, fitted: Fit) -> State:
-        found = settle(fitted.model, self.records, fitted.starts, self._moving)
+    def settled(self, fitted: Fit, whitened: bool = False) -> State:
+        found = settle(fitted.model, self.records, fitted.starts, self._moving, bare_first=not whitened)
         self._moving = found.moving
         return State(found.fit, found.records, found.deviance, found.noise, found.moving)
 

@@ -15,7 +15,7 @@ from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.estimation.fit import Fit, unchanged
 from fiohost.estimation.intervals import Estimate, covariance, estimates
 from fiohost.estimation.record import Record
-from fiohost.motor.effect import Parameter, Value
+from fiohost.motor.effect import Parameter, Value, effect
 from fiohost.motor.model import Model
 
 STEP_SHARES = (1.0, 0.5, 0.25)
@@ -120,7 +120,7 @@ def only_at_a_bound(found: Fit, name: str) -> bool:
 
 def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple[Parameter, Estimate]]:
     known = estimates(found, replicas)
-    return [(p, known[f"{name}.{p.name}"]) for p in found.model.parts()[-1].parameters if p.is_smooth]
+    return [(p, known[f"{name}.{p.name}"]) for p in effect(name).parameters if p.is_smooth]
 
 
 def _at_a_bound(parameter: Parameter, value: Estimate) -> str | None:

@@ -87,7 +87,7 @@ def _ends(record: Record) -> list[float]:
     count's middle.
     """
     found = []
-    duty = record.excitation.duties_pct[1:]
+    duty = record.acting_pct
     for side in (1.0, -1.0):
         outward = side * record.y
         there = outward >= outward.max() - 1.01 * record.quantum

@@ -192,20 +192,22 @@ class Search:
         pairs = [(base, f) for (_, base, _), f in zip(jobs, rough, strict=True)]
         gains = [base.samples * float(np.log(base.cost / max(f.cost, 1e-300))) for base, f in pairs]
         order = [i for i in np.argsort(gains)[::-1]]
-        kept: dict[str, int] = {}
+        kept: dict[str, dict[int, int]] = {}  # of each name the best of each screen
         for i in order:
-            name = jobs[i][0].effect.name
+            name, screen = jobs[i][0].effect.name, id(jobs[i][2])
             near = gains[i] >= gains[order[0]] - jobs[i][1].samples * np.log(s.hopeless)
-            if name not in kept and near and len(kept) < (s.finalists_in_windows if windows else s.finalists):
-                kept[name] = int(i)
+            if name in kept or (near and len(kept) < (s.finalists_in_windows if windows else s.finalists)):
+                kept.setdefault(name, {}).setdefault(screen, int(i))
 
         def finished(i: int) -> Child:
             score, _, records = jobs[i]
             found = full_fit(rough[i], score.effect, records, s.lost * floor)
-            state = self.objective.settled(found)
+            state = self.objective.settled(found, whitened=records is node.state.records)
             return Child(score, state, node.state.deviance - state.deviance)
 
-        return sorted(each(finished, list(kept.values())), key=lambda c: c.state.price)
+        done = each(finished, [i for ways in kept.values() for i in ways.values()])
+        best = {name: min((c for c in done if c.name == name), key=lambda c: c.state.deviance) for name in kept}
+        return sorted(best.values(), key=lambda c: c.state.price)
 
     def _rough(self, score: Score, base: Fit, records: Sequence[Record]) -> Fit:
         found = rough_fit(base, score, records)
@@ -223,7 +225,7 @@ class Search:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
         if child.gain < s.margin * level and not finished:
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {level:.0f}"
-        why = objection(found, name)
+        why = next((w for w in (objection(found, n) for n in [name, *node.names]) if w), None)
         if why is not None:
             return why
         if whole and node.added:

@@ -48,6 +48,8 @@ class SearchSettings:
     follows: float = 0.1
     # Nor is a torque that wanders by more than this share of full duty rms: benches that were measured stay below 2 %.
     most_torque_pct: float = 5.0
+    # Readings closer than this are thinned where windows are weighed by their noise: our own bench's tick.
+    window_step_s: float = 0.005
     # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum.
     stuck: float = 2.0
 

@@ -36,6 +36,8 @@ STANDS = 1e-6
 WHITE_DRAWS, WHITE_SEED = 16, 2
 # By so much gain, friction and load are changed for a derivative: shares, and percent of duty.
 RUN_STEPS = (1e-3, 1e-2, 0.05)
+# A tolerance within which no step is worth taking.
+ENDLESS = 1e30
 # So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
 KINK_S = 0.1
 
@@ -174,12 +176,16 @@ def settle(
     starts: Sequence[Start] | None = None,
     moving: Sequence[np.ndarray] | None = None,
     rounds: int = ROUNDS,
+    bare_first: bool = True,
 ) -> Settled:
     """Fit a model to windows and whiten them by what it leaves, in turn; ``moving`` where another model's movement is
-    to be kept.
+    to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
-    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=20, tolerance=1e-4)
+    its = 20 if bare_first else 1
+    fitted = fit(
+        model, bare, windows=True, starts=starts, max_iterations=its, tolerance=1e-4 if bare_first else ENDLESS
+    )
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise = tuple(bare), NONE
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs

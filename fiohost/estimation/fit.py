@@ -301,7 +301,7 @@ def first_guess(model: Model, records: Sequence[Record]) -> Model:
     ratios: list[float] = []
     for record in records:
         times = record.excitation.times_s
-        duty = record.excitation.duties_pct[1:]
+        duty = record.acting_pct
         if record.kind == ANGLE:
             span = max(1, round(0.1 / record.sample_time_s))
             if len(times) <= span:

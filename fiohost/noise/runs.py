@@ -69,11 +69,13 @@ def varied(model: Model, own: np.ndarray) -> Model:
     values = {"linear.gain_deg_s_per_pct": scaled("linear.gain_deg_s_per_pct", float(own[GAIN]))}
     values |= {key: scaled(key, float(own[FRICTION])) for key in FRICTIONS if key in model.values}
     changed = model.with_values(values)
-    if LOAD_EFFECT not in model.effects:
-        return changed.with_effect(LOAD_EFFECT, {"level_pct": float(own[LOAD])}) if own[LOAD] else changed
-    return changed.with_values(
-        {f"{LOAD_EFFECT}.level_pct": model.number(f"{LOAD_EFFECT}.level_pct") + float(own[LOAD])}
-    )
+    if not own[LOAD]:
+        return changed
+    key = f"{LOAD_EFFECT}.level_pct"
+    if LOAD_EFFECT not in changed.effects:
+        changed = changed.with_effect(LOAD_EFFECT, {"level_pct": 0.0})
+    bounds = changed.parameter(key)
+    return changed.with_values({key: float(np.clip(changed.number(key) + own[LOAD], bounds.lower, bounds.upper))})
 
 
 def _deviance(pulls: Sequence[Pull], sd: np.ndarray) -> float:

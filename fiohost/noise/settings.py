@@ -44,6 +44,8 @@ class NoiseSettings:
     run_deviance: float = 6.63
     # Lags of the whiteness test: a tenth of a window at 200 Hz.
     lags: int = 20
+    # A window's autocorrelation counts for so many standard deviations at most.
+    most_of_a_window: float = 3.0
     # One-sided 1 % point of the normal distribution.
     white_sigmas: float = 2.326
     # A step of the readings is one where 99 % of their differences are multiples of it to this share of it (by chance a

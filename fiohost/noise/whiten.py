@@ -95,18 +95,24 @@ def _whitening(
 def unevenness(
     whitened: Sequence[np.ndarray], edges: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS
 ) -> float:
-    """How far whitened residuals (n each) are from white: their squared autocorrelations summed over lags (Box and
-    Pierce 1970), taken within windows of ``edges`` (m + 1 each) and pooled over all.
+    """How far whitened residuals (n each) are from white: their autocorrelations within windows of ``edges`` (m + 1
+    each), pooled over all windows, squared and summed over lags (Box and Pierce 1970).
+
+    No window counts for more than some standard deviations: one in which the shaft stuck, and the model's did not, says
+    nothing of all the others.
     """
-    products, power, samples = np.zeros(settings.lags), 0.0, 0
+    sums, windows = np.zeros(settings.lags), 0
     for series, ends in zip(whitened, edges, strict=True):
         for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
             part = series[a:b]
-            size = min(settings.lags, len(part) - 1)
-            products[:size] += [float(part[k + 1 :] @ part[: -k - 1]) for k in range(size)]
-            power += float(part @ part)
-            samples += len(part)
-    return samples * float(np.sum((products / power) ** 2)) if power > 0.0 else 0.0
+            power = float(part @ part)
+            if len(part) <= settings.lags or power <= 0.0:
+                continue
+            along = np.array([float(part[k + 1 :] @ part[: -k - 1]) for k in range(settings.lags)]) / power
+            most = settings.most_of_a_window
+            sums += np.clip(np.sqrt(len(part)) * along, -most, most)
+            windows += 1
+    return float(np.sum(sums**2)) / max(windows, 1)
 
 
 def is_white(value: float, draws: Sequence[float], settings: NoiseSettings = SETTINGS) -> bool:
