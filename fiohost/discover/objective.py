@@ -8,7 +8,7 @@ that is left. Both give a deviance, -2 log likelihood but for a constant, and ev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -133,13 +133,10 @@ class Windows(Objective):
 
     def null(self, state: State, best: State) -> State:
         assert best.noise is not None
-        assert state.noise is not None
-        # How runs differ is known of few: what the candidate takes for its own may as well be that.
-        noise = replace(best.noise, runs=state.noise.runs)
-        records = with_noise(self.bare, state.fit.model, noise, state.moving)
-        if noise.runs.known:
-            records = with_scatter(state.fit, records, noise)
-        return State(self._fitted(state.fit, records), records, state.deviance, noise, state.moving)
+        records = with_noise(self.bare, state.fit.model, best.noise, state.moving)
+        if best.noise.runs.known:
+            records = with_scatter(state.fit, records, best.noise)
+        return State(self._fitted(state.fit, records), records, state.deviance, best.noise, state.moving)
 
     @staticmethod
     def _fitted(found: Fit, records: Sequence[Record]) -> Fit:

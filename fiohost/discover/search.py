@@ -16,7 +16,7 @@ import numpy as np
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.missing_torque import dependences
 from fiohost.discover.moments import fit_event, moment_of
-from fiohost.discover.null import draw_null
+from fiohost.discover.null import Null, draw_null
 from fiohost.discover.objective import Objective, State
 from fiohost.discover.optimise import again, fit_anew, full_fit, polish, rough_fit, searched_again, unstuck
 from fiohost.discover.score import Gain, left_out, objection, only_in
@@ -124,11 +124,47 @@ class Search:
                         grown[child.names] = child
                 if not grown:
                     break  # beside the best one nothing is missing
-            beam = sorted(grown.values(), key=lambda n: n.state.price)[: self.settings.beam]
+            beam = self.simplest_first(list(grown.values()))[: self.settings.beam]
             if not beam or (best is not root and beam[0].state.price >= best.state.price):
                 break
             best = next((n for n in beam if self.explains(n)), beam[0])
+        return self.exchanged(best)
+
+    def exchanged(self, best: Node) -> Node:
+        """A structure with each of its names but the last asked for again beside the others: it was chosen while they
+        were missing.
+        """
+        for earlier in best.added[:-1]:
+            if earlier not in best.added:
+                continue
+            name, fitted = earlier.child.name, best.state.fit
+            self.say(f"{name}, asked for again beside the others")
+            less = self.objective.settled(again(fitted, fitted.model.without([name]), best.state.records))
+            rest = Node(less, tuple(a for a in best.added if a is not earlier))
+            told = self.told
+            first = self.simplest_first([*self.expand(rest), best])[0]
+            self.told = told
+            if first is not best and (self.explains(first) or not self.explains(best)):
+                self.say(f"{first.added[-1].child.name} takes its place")
+                best = first
         return best
+
+    def simplest_first(self, nodes: Sequence[Node]) -> list[Node]:
+        """Nodes by price, the simplest of those that are as good as the best first."""
+        if not nodes:
+            return []
+        tie = min(n.state.deviance for n in nodes) + self.tie(nodes[0].state)
+        first = min(
+            (n for n in nodes if n.state.deviance <= tie), key=lambda n: (len(n.state.fit.names), n.state.price)
+        )
+        return [first, *sorted((n for n in nodes if n is not first), key=lambda n: n.state.price)]
+
+    def tie(self, state: State) -> float:
+        """Deviances this close are as good."""
+        s = self.settings
+        if self.objective.windows:
+            return s.equal_deviance
+        return max(s.equal_deviance, state.fit.samples * float(np.log(s.as_good)))
 
     def explains(self, node: Node) -> bool:
         """Whether whole runs follow the data, or what is left does not matter to the user; of noise only the null says
@@ -157,15 +193,15 @@ class Search:
         null = self.objective.null(node.state, children[0].state)
         screen = screens[0] if null is node.state else Screen(null.fit, null.records)
         scores = ranked[0] if null is node.state else each(screen.score, offered)
-        level = draw_null(self.objective, null, screen, scores, self.rng, self.settings).level
-        whys = each(lambda c: self.objection(node, c, level), children)
+        drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
+        whys = each(lambda c: self.objection(node, c, drawn), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        return [self.grown(node, c, accepted, level) for c in accepted[: self.settings.beam]]
+        return [self.grown(node, c, accepted, drawn.level) for c in accepted[: self.settings.beam]]
 
     def children(self, node: Node, screens: Sequence[Screen], ranked: Sequence[Sequence[Score]]) -> list[Child]:
         """The best candidates, each at its minimum, the least price first."""
@@ -194,10 +230,10 @@ class Search:
         order = [i for i in np.argsort(gains)[::-1]]
         kept: dict[str, dict[int, int]] = {}  # of each name the best of each screen
         for i in order:
-            name, screen = jobs[i][0].effect.name, id(jobs[i][2])
+            name, way = jobs[i][0].effect.name, id(jobs[i][2])
             near = gains[i] >= gains[order[0]] - jobs[i][1].samples * np.log(s.hopeless)
             if name in kept or (near and len(kept) < (s.finalists_in_windows if windows else s.finalists)):
-                kept.setdefault(name, {}).setdefault(screen, int(i))
+                kept.setdefault(name, {}).setdefault(way, int(i))
 
         def finished(i: int) -> Child:
             score, _, records = jobs[i]
@@ -215,7 +251,7 @@ class Search:
             return found
         return min(found, fit_event(base, score.effect, records), key=lambda f: f.cost)
 
-    def objection(self, node: Node, child: Child, level: float) -> str | None:
+    def objection(self, node: Node, child: Child, null: Null) -> str | None:
         """Why a candidate is not believed, or None."""
         s, found, name, of = self.settings, child.state.fit, child.name, child.score.effect
         whole = not self.objective.windows
@@ -223,8 +259,8 @@ class Search:
         finished = left <= s.finished
         if whole and of.once and not finished:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
-        if child.gain < s.margin * level and not finished:
-            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {level:.0f}"
+        if child.gain < s.margin * null.level and not finished:
+            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.level:.0f}"
         why = next((w for w in (objection(found, n) for n in [name, *node.names]) if w), None)
         if why is not None:
             return why
@@ -232,9 +268,11 @@ class Search:
             above = 1.0 - (left**2 - 1.0) / max((node.state.fit.rms / self.stage(node).floor_rms) ** 2 - 1.0, 1e-12)
             if above < s.least_of_rest:
                 return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
-        group = only_in(found, name, self.objective.groups) if whole and not (of.shown or of.once) else None
-        if group is not None and self.stage(node).left_of(found, group) > s.finished:
-            return f"only {self.objective.records[group[0]].name} shows it"
+        group = only_in(found, name, self.objective.groups) if not (of.shown or of.once) else None
+        if group is not None:
+            rest = self.stage(node).left_of(found, group) > s.finished if whole else not self.white(Node(child.state))
+            if rest:
+                return f"only {self.objective.records[group[0]].name} shows it, and something is left"
         if of.once and finished:
             return None  # no other record can confirm it
         gain = Gain.of(self.left_out(self.objective.under(node.state, child.state), child), self.own(child), s)
@@ -257,15 +295,12 @@ class Search:
         """Candidates with the least price first; among those as good, the simplest, then the commonest."""
         if not accepted:
             return []
-        s = self.settings
         if not self.objective.windows and len(accepted) > 1:
             least = min(c.state.fit.cost for c in accepted)
             near = [c for c in accepted if c.state.fit.cost <= 1.1 * least]
             accepted = [self._polished(c) if c in near else c for c in accepted]
         least = min(c.state.deviance for c in accepted)
-        tie = s.equal_deviance
-        if not self.objective.windows:
-            tie = max(tie, accepted[0].state.fit.samples * float(np.log(s.as_good)))
+        tie = self.tie(accepted[0].state)
         equal = [c for c in accepted if c.state.deviance <= least + tie]
         first = min(equal, key=lambda c: c.commonness)
         rest = sorted((c for c in accepted if c is not first), key=lambda c: c.state.price)

@@ -182,10 +182,8 @@ def settle(
     to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
-    its = 20 if bare_first else 1
-    fitted = fit(
-        model, bare, windows=True, starts=starts, max_iterations=its, tolerance=1e-4 if bare_first else ENDLESS
-    )
+    most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
+    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=most, tolerance=tolerance)
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise = tuple(bare), NONE
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
