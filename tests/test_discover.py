@@ -100,7 +100,7 @@ def test_an_effect_mistaken_for_a_part_of_another_gives_way_to_it(mistaken: str,
     assert mistaken not in found.final.fit.model.effects
 
 
-def test_what_is_peculiar_to_one_record_is_believed_only_where_it_leaves_nothing() -> None:
+def test_what_is_peculiar_to_one_record_explains_only_where_it_leaves_nothing() -> None:
     """The strongest of constant commands ran on less supply: no limit of the voltage, while gravity is missing too."""
     rng = np.random.default_rng(6)
     gravity = {"gravity_load.level_pct": 1.0, "gravity_load.phase_deg": 20.0}
@@ -110,9 +110,9 @@ def test_what_is_peculiar_to_one_record_is_believed_only_where_it_leaves_nothing
     told = replace(weak.excitation, duties_pct=np.where(weak.excitation.duties_pct, 90.0, 0.0))
     records.append(replace(weak, excitation=told))
     alone = diagnose_records(records, (), DECLARED, library=["voltage_saturation", "supply_drift"])
-    assert alone.steps == ()
+    assert alone.verdict == "unexplained"
     both = diagnose_records(records, (), DECLARED, library=["voltage_saturation", "gravity_load"])
-    assert [s.effect for s in both.steps] == ["gravity_load", "voltage_saturation"]
+    assert {s.effect for s in both.steps} == {"gravity_load", "voltage_saturation"}
     assert both.verdict == "explained"
 
 
