@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from fiohost.advice.windowed import Windowed
 from fiohost.discover.metrics import Judgement, pool
 from fiohost.discover.missing_torque import bench_angle
 from fiohost.discover.stage import Stage
-from fiohost.discover.windowed import Windowed
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model

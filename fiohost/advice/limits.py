@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from fiohost.advice.limit import Limit
+from fiohost.advice.windowed import Windowed
 from fiohost.discover.metrics import WIDE, Judgement, weigh
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.stage import Stage
-from fiohost.discover.windowed import Windowed
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output

@@ -108,16 +108,6 @@ def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | No
     return next((why for why in bounds if why), None) or _vanishing(found, name, known)
 
 
-def only_at_a_bound(found: Fit, name: str) -> bool:
-    """Whether all that speaks against a fitted effect is a parameter at its bound, while the others are distinct.
-
-    So ends what data can only tell the sum of, as dry friction and a deadband that are never turned against.
-    """
-    known = _smooth(found, name)
-    free = [(p, value) for p, value in known if not _at_a_bound(p, value)]
-    return 0 < len(free) < len(known) and _vanishing(found, name, free) is None
-
-
 def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple[Parameter, Estimate]]:
     known = estimates(found, replicas)
     return [(p, known[f"{name}.{p.name}"]) for p in effect(name).parameters if p.is_smooth]

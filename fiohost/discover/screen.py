@@ -7,7 +7,7 @@ residual's power along it is its score.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,6 @@ from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
-BLOCKS_A_RECORD = 10
-FLIPS = 400
 # Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
 RESOLUTION_S = 0.02
 BEST_TRIALS = 4
@@ -236,39 +234,3 @@ def _scaled(effect: Effect, trial: Trial, factor: float) -> Trial:
     neutral = float(parameter.neutral or 0.0)
     value = neutral + factor * (float(trial[parameter.name]) - neutral)
     return {**trial, parameter.name: float(np.clip(value, parameter.lower, parameter.upper))}
-
-
-def chance_share(
-    screen: Screen,
-    scores: Sequence[Score],
-    replicas: Callable[[np.random.Generator], list[np.ndarray]] | None,
-    rng: np.random.Generator,
-    level: float = 0.99,
-    draws: int = 60,
-) -> float:
-    """Share of the residual's power that the best of all trials of all candidates reaches by chance, at the given
-    level.
-
-    Two worlds without any missing effect, the larger counts: the residual itself with random signs in blocks of time,
-    which keeps its colour and power, and replicas of the fitted model through the sensor.
-    """
-    directions = [d for s in scores for d in s.directions]
-    basis = np.concatenate([d.basis for d in directions], axis=1)
-    ends = np.cumsum([d.basis.shape[1] for d in directions])
-
-    def best(along: np.ndarray) -> np.ndarray:
-        """The largest share of any direction for each row of projections (draws, columns)."""
-        parts = zip(np.split(along, ends[:-1], axis=1), directions, strict=True)
-        return np.asarray(np.max([powers(part, d.weights) for part, d in parts], axis=0) / screen.power)
-
-    lengths = screen.lengths
-    blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
-    order = np.flatnonzero(np.diff(blocks, prepend=-1))
-    sums = np.add.reduceat(basis * screen.residual[:, None].astype(np.float32), order, axis=0)
-    signs = rng.choice((-1.0, 1.0), size=(FLIPS, len(sums)))
-    chance = float(np.quantile(best(signs @ sums), level))
-    if replicas is not None:
-        noise = np.array([screen.clean(replicas(rng)) for _ in range(draws)], dtype=np.float32)
-        # The largest of many draws stands for the level, with a margin for its own scatter.
-        chance = max(chance, 1.5 * float(best(noise @ basis).max()))
-    return chance

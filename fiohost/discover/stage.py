@@ -15,9 +15,6 @@ from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
 
-# Farther from its floor than this, a fit leads nowhere.
-LOST, UTTERLY_LOST = 2.0, 12.0
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -50,15 +47,6 @@ class Stage:
     def follows(self) -> bool:
         """Whether the model follows the data as closely as it matters, at the floor or a fraction of a count off."""
         return no_matter(self.excesses)
-
-    @property
-    def lost(self) -> bool:
-        """Whether what was fitted stays so far from its floor that gradients may lead anywhere."""
-        return self.fit.rms > LOST * self.floor_rms
-
-    @property
-    def utterly_lost(self) -> bool:
-        return self.fit.rms > UTTERLY_LOST * self.floor_rms
 
     @property
     def floor_rms(self) -> float:
