@@ -89,13 +89,16 @@ class Diagnosis:
 
     @property
     def explained_pct(self) -> float | None:
-        """Share of the declared model's squared error above the floor that is gone, in one-second windows."""
+        """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the floor
+        where that is all that is left.
+        """
         before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
         floor = pool([f.errors for f in self.final.floors])
         if before is None or after is None or floor is None:
             return None
-        there = before.window_rms**2 - floor.window_rms**2
-        left = max(after.window_rms**2 - floor.window_rms**2, 0.0)
+        least = 0.0 if self.verdict == "unexplained" else floor.window_rms**2  # what is left is then no noise
+        there = before.window_rms**2 - least
+        left = max(after.window_rms**2 - least, 0.0)
         return 100.0 * max(1.0 - left / there, 0.0) if there > left else (100.0 if left == 0.0 else 0.0)
 
     @property

@@ -12,7 +12,9 @@ from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import WholeRuns, Windows
 from fiohost.discover.search import Node, Search
 from fiohost.discover.settings import SETTINGS
+from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
+from fiohost.discover.whitened import drawing
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
@@ -64,13 +66,32 @@ def searched(
             if whole.explains(again):
                 return whole.found(root, again)
     found = by_windows.found(begun, seen)
-    found = replace(found, white=by_windows.white(seen))
+    found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
     if exact and not (found.white and found.final.follows):
         far = Search(runs, rng, library, say, anew=True, tolerance_pct=tolerance_pct)
         best = far.run(root)
         if far.explains(best):
             return far.found(root, best)
     return found
+
+
+def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) -> Found:
+    """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
+    where all that is left is what they are made of.
+    """
+
+    def plain(stage: Stage) -> Stage:
+        fitted = fit(stage.fit.model, windows.bare, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+        train = drawing(windows.train, found.noise) if found.noise else windows.train
+        return judged(fitted, windows.bare, train, rng)
+
+    stages, steps = list(found.stages), list(found.steps)
+    if steps or not found.white:
+        stages[0] = plain(stages[0])
+    if steps and not found.white:
+        stages[-1] = plain(stages[-1])
+        steps[-1] = replace(steps[-1], stage=stages[-1])
+    return replace(found, stages=tuple(stages), steps=tuple(steps))
 
 
 def noisy_sensor(records: Sequence[Record]) -> bool:
