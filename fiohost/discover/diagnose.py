@@ -89,8 +89,8 @@ class Diagnosis:
 
     @property
     def explained_pct(self) -> float | None:
-        """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the floor
-        where that is all that is left.
+        """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the
+        floor where no more than that is left.
         """
         before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
         floor = pool([f.errors for f in self.final.floors])
