@@ -77,8 +77,8 @@ def drift_per_s(time_s: np.ndarray, y: np.ndarray, period_s: float) -> float:
 def asked_sine(time_s: np.ndarray, volts_in: np.ndarray, omega: float) -> tuple[complex, float]:
     """The phasor of the sine that was asked for, also where a limit cut it, and the share of samples that were cut.
 
-    What stands at the limit says nothing of the sine: the phasor is that of the samples below it. Raises DataError where
-    there is no sine of that frequency.
+    What stands at the limit says nothing of the sine: the phasor is that of the samples below it. Raises DataError
+    where there is no sine of that frequency.
     """
     top = float(np.max(np.abs(volts_in), initial=0.0))
     cut = np.abs(volts_in) >= (1.0 - NEAR_TOP) * top

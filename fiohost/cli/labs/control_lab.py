@@ -25,7 +25,7 @@ def bench_options(target: str, constants: str) -> Callable[[Command], Command]:
     """Add the options of every experiment: where it is done, with which constants, limits and output."""
 
     def add(command: Command) -> Command:
-        limits_help = "both, voltage (4.5 V), current (1 A) or none."
+        limits_help = "both, voltage (4.5 V), current (1 A), half (2.25 V, 1 A) or none."
         for option in (
             click.option("--animate", is_flag=True, help="Also a moving picture (GIF)."),
             click.option("--saturation", default="both", show_default=True, metavar="LIMITS", help=limits_help),
