@@ -3,8 +3,9 @@
     L di/dt = v - R i - Kb w,    J dw/dt = Ki i - B w + T,    dtheta/dt = w
 
 with T the text's load torque, which is added: a negative one opposes forward motion. With L = 0 the current follows at
-once. The derivative of a controller is that of the angle, which is the speed: that of the error would ask for an
-endless voltage in the moment of a step. Solved to nine digits, limits included.
+once. The derivative of a controller is that of the angle, which is the speed, or that of the error, as the text's block
+takes it (Fig. D-36). That asks for an endless voltage in the moment of a step, of kd times the step in volt seconds,
+which puts that over L into the current at once. Solved to nine digits, limits included.
 """
 
 from __future__ import annotations
@@ -52,11 +53,16 @@ class Servo:
     load_from_s: float = 0.0
     limit_V: float = inf
     limit_A: float = inf
+    derivative_of_error: bool = False
     second_ref: float = 0.0
     second_from_s: float = inf
 
     def run(self, duration_s: float) -> Response:
-        """The response from rest to a step of the reference at time 0. Raises DataError where it cannot be solved."""
+        """The response from rest to a step of the reference at time 0. Raises DataError where it cannot be solved, or
+        where a limited voltage is asked for the derivative of a step.
+        """
+        if self.derivative_of_error and self.kd and self.limit_V < inf:
+            raise DataError("the derivative of a step asks for an endless voltage: take that of the angle, or no limit")
         times = np.linspace(0.0, duration_s, POINTS)
         states = np.empty((POINTS, 4))
         state = np.zeros(4)
@@ -73,6 +79,7 @@ class Servo:
             ref = self.second_ref if begin >= self.second_from_s else self.ref
             own = (times >= begin) & (times <= end)
             at = np.unique(np.concatenate((times[own], [end])))
+            state = state + self._blow(begin)
             with catch_warnings():
                 simplefilter("ignore")  # what they say is in found.message
                 found = solve_ivp(rates, (begin, end), state, "LSODA", at, args=(load, ref), rtol=1e-9, atol=1e-12)
@@ -86,6 +93,17 @@ class Servo:
         if self.motor.L_H == 0.0:
             amps = np.clip((volts - self.motor.Ke_Vs_per_rad * speed) / self.motor.R_ohm, -self.limit_A, self.limit_A)
         return Response(times, np.clip(amps, -self.limit_A, self.limit_A), speed, angle, np.asarray(volts))
+
+    def _blow(self, time_s: float) -> FloatArray:
+        """What the derivative of a step of the reference does to the state in that moment."""
+        step = (self.ref if time_s == 0.0 else 0.0) + (
+            self.second_ref - self.ref if time_s == self.second_from_s else 0.0
+        )
+        volt_s = self.amplifier * self.kd * step if self.derivative_of_error and self.controls == POSITION else 0.0
+        motor = self.motor
+        if motor.L_H > 0.0:
+            return np.array([volt_s / motor.L_H, 0.0, 0.0, 0.0])
+        return np.array([0.0, motor.Kt_Nm_per_A * volt_s / (motor.R_ohm * motor.J_kgm2), 0.0, 0.0])
 
     def _volts(self, speed: Any, angle: Any, gathered: Any, ref: Any) -> Any:
         """Armature voltage, of numbers or of arrays."""
