@@ -180,7 +180,7 @@ def _sine_run(session: Session, amplitude: float, omega: float) -> tuple[Run, Ru
     target = session.on_target(case, law, duration)
     found = [
         gain_and_phase(run.time_s, run.ref, run.angle_deg, omega, delay)
-        for run, delay in ((ideal, 0.0), (target, session.bench.sample_time_s))
+        for run, delay in ((ideal, 0.0), (target, session.bench.sample_time_s))  # both are held, half a tick on average
     ]
     return ideal, target, found[0], found[1]
 

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from fiohost.control.closed_loop import Loop, Plant, step_run
-from fiohost.control.metrics import StepFigures, step_figures
+from fiohost.control.metrics import MOST_OVERSHOOT_PCT, StepFigures, step_figures
 from fiohost.labs.constants import MotorConstants
-from fiohost.labs.play import IDEAL, IDEAL_TICK_S, NO_LIMITS, Limits, Run, play_model
+from fiohost.labs.ideal import play_ideal
+from fiohost.labs.play import IDEAL, NO_LIMITS, Limits, Run
 from fiohost.labs.result import Answer, Cell, Table
 from fiohost.labs.session import Gains, Session, position
 
 RUN_S = 4.0
+POINTS = 8001
 SMALL_DEG = 1.0  # too small to meet a limit
 CLOSE_PCT = 0.005  # share of overshoot and of rise: nearer than anyone measures
 
@@ -50,11 +51,20 @@ class PiDesign:
 
 
 def figures_of_gains(q: MotorConstants, gains: Gains) -> tuple[float, float]:
-    """Overshoot in percent and rise in seconds of the ideal loop without limits."""
-    scale = math.radians(1.0) * q.pct_per_volt
-    loop = Loop(gains.kp * scale, ki_pct_per_deg_s=gains.ki * scale, sample_time_s=IDEAL_TICK_S)
-    run = step_run(Plant.of(q.model()), loop, SMALL_DEG, RUN_S)
-    found = step_figures(run.time_s, run.angle_deg, 0.0, SMALL_DEG)
+    """Overshoot in percent and rise in seconds of the ideal loop without limits, by partial fractions."""
+    K = q.Kt_Nm_per_A
+    bottom = np.array([
+        q.L_H * q.J_kgm2, q.R_ohm * q.J_kgm2 + q.L_H * q.B_Nms, q.R_ohm * q.damping_Nms, K * gains.kp, K * gains.ki
+    ])  # fmt: skip
+    bottom = np.trim_zeros(bottom, "f")
+    poles = np.roots(bottom)
+    times = np.linspace(0.0, RUN_S, POINTS)
+    shares = np.polyval([K * gains.kp, K * gains.ki], poles) / (poles * np.polyval(np.polyder(bottom), poles))
+    with np.errstate(over="ignore", invalid="ignore"):
+        response = 1.0 + (shares @ np.exp(np.outer(poles, times))).real
+    if not np.isfinite(response).all():
+        return MOST_OVERSHOOT_PCT, RUN_S
+    found = step_figures(times, response, 0.0, 1.0)
     return found.overshoot_pct, found.rise_s
 
 
@@ -85,7 +95,7 @@ def design_pi(q: MotorConstants, overshoot_pct: float, rise_s: float, limits: Li
     gains = Gains(math.exp(best.x[0]), math.exp(best.x[1]))
     overshoot, rise = figures_of_gains(q, gains)
     met = abs(overshoot - overshoot_pct) <= CLOSE_PCT * overshoot_pct and abs(rise - rise_s) <= CLOSE_PCT * rise_s
-    run = play_model(q, position(gains, SMALL_DEG)(IDEAL, q.pct_per_volt), RUN_S, IDEAL, limits=NO_LIMITS)
+    run = play_ideal(q, position(gains, SMALL_DEG)(IDEAL, q.pct_per_volt), RUN_S, limits=NO_LIMITS)
     assert run.current_A is not None
     per_deg = float(np.max(np.abs(run.volts))), float(np.max(np.abs(run.current_A)))
     bounds = {

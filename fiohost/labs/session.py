@@ -14,6 +14,7 @@ from fiohost.bench.loop import Bench
 from fiohost.control.controllers import PID, Controller
 from fiohost.errors import ConfigError
 from fiohost.labs.constants import MotorConstants
+from fiohost.labs.ideal import play_ideal
 from fiohost.labs.play import (
     IDEAL,
     NO_LIMITS,
@@ -82,6 +83,9 @@ def volts(level: float | Callable[[np.ndarray], np.ndarray], duration_s: float) 
 
     def law(way: Way, scale: float) -> Law:
         times = np.arange(round(duration_s / way.sample_time_s) + 1) * way.sample_time_s
+        times = times + (
+            0.5 * way.sample_time_s if way is IDEAL else 0.0
+        )  # what holds for a tick is that of its middle
         return OpenLaw(level(times) if callable(level) else np.full(times.size, level), scale)
 
     return law
@@ -156,9 +160,9 @@ class Session:
         self, law: MakeLaw, duration_s: float, limits: Limits, constants: MotorConstants | None = None,
         torque: Torque | None = None,
     ) -> Run:  # fmt: skip
-        """The model in nearly continuous time, with limits of its own and, where given, other constants."""
+        """The text's block diagram, with limits of its own and, where given, other constants."""
         q = constants or self.constants
-        return play_model(q, law(IDEAL, q.pct_per_volt), duration_s, IDEAL, limits=limits, torque=torque)
+        return play_ideal(q, law(IDEAL, q.pct_per_volt), duration_s, limits=limits, torque=torque)
 
     def model(self, law: MakeLaw, duration_s: float, torque: Torque | None = None) -> Run:
         """The model at the bench's own ticks, delay and counts."""

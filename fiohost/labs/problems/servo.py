@@ -26,7 +26,7 @@ from fiohost.labs.constants import MotorConstants
 FloatArray = NDArray[np.float64]
 
 MOST_RATES = 400_000  # evaluations: far more than any response of the text needs
-POINTS = 20_001  # of a response: a crossing between two is found to a part in ten thousand of a time constant
+POINTS = 100_001  # of a response: a crossing between two is found to a part in a million of a time constant
 OPEN, SPEED, POSITION = "voltage", "speed", "position"
 
 
