@@ -244,7 +244,7 @@ def test_every_step_of_the_text_has_an_answer_and_a_command_that_exists(results:
 
 def test_every_experiment_has_its_page() -> None:
     mine = [name for name, (where, _) in LABS.items() if "control_lab" in where or "characterise" in where]
-    assert len(mine) == 7
+    assert len(mine) == 8
     for name in mine:
         page = ROOT / "docs" / "labs" / f"{name}.md"
         assert f"fiohost lab {name}" in page.read_text(encoding="utf-8")

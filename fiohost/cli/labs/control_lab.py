@@ -21,14 +21,14 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 MOST_TORQUE_NM = 10.0
 
 
-def bench_options(target: str, constants: str) -> Callable[[Command], Command]:
+def bench_options(target: str, constants: str, saturation: str = "both") -> Callable[[Command], Command]:
     """Add the options of every experiment: where it is done, with which constants, limits and output."""
 
     def add(command: Command) -> Command:
         limits_help = "both, voltage (4.5 V), current (1 A), half (2.25 V, 1 A) or none."
         for option in (
             click.option("--animate", is_flag=True, help="Also a moving picture (GIF)."),
-            click.option("--saturation", default="both", show_default=True, metavar="LIMITS", help=limits_help),
+            click.option("--saturation", default=saturation, show_default=True, metavar="LIMITS", help=limits_help),
             click.option("--constants", default=constants, show_default=True, metavar="SET|FILE",
                          help="The motor's constants: no_load, arm_measured, arm_tuned, elevator, or a file."),
             click.option("--seed", metavar="N", help="How the shaft of a simulated board starts."),
@@ -196,6 +196,47 @@ def position_control(
         animate=animate,
     )
     _do(options, lambda session: experiment(session, plan))
+
+
+@click.command("fine-tuning")
+@click.option("--kp", default="3", show_default=True, metavar="KP", help="P gain, V/rad.")
+@click.option("--step", "step_deg", default="160", show_default=True, metavar="DEG", help="Step of the reference.")
+@click.option("--tune", default="J", show_default=True, metavar="J|B|both", help="What is tuned.")
+@click.option("--save", "save_to", metavar="F", help="Write the tuned constants for the other experiments.")
+@bench_options("sim:nxt_arm_tuned", "arm_measured", saturation="half")
+def fine_tuning(kp: str, step_deg: str, tune: str, save_to: str | None, animate: bool, **options: Any) -> None:
+    """Tune the inertia (or the friction) until the model's position response is the target's (section D-1-6).
+
+    \b
+    Example:
+      fiohost lab fine-tuning --save arm.toml
+      fiohost lab fine-tuning --tune both --kp 5
+    """
+    from dataclasses import replace
+    from pathlib import Path
+
+    from fiohost.files import claim
+    from fiohost.labs.constants import MotorConstants
+    from fiohost.labs.fine_tuning import fine_tuning as experiment
+
+    if animate:
+        raise ConfigError("--animate belongs to the other experiments")
+    gain = parse_number("--kp", kp, 0.01, 1000.0, "V/rad")
+    step = parse_number("--step", step_deg, -100_000.0, 100_000.0, "deg")
+    if abs(step) < 1.0:
+        raise ConfigError(f"--step {step:g}: a step of less than a degree is lost in the encoder's counts")
+    if save_to is not None:
+        claim(save_to)
+
+    def tuned(session: Session) -> LabResult:
+        found = experiment(session, gain, step, tune)
+        if save_to is not None:
+            source = f"{session.constants.source}, tuned by {session.target}"
+            MotorConstants(**found.values["constants"], source=source).write(Path(save_to))
+            found = replace(found, files={**found.files, "constants": save_to})
+        return found
+
+    _do(options, tuned)
 
 
 @click.command("design-project")

@@ -43,6 +43,9 @@ MOST_RUNS = 20  # of a list of gains
     show_default=True,
     help="Current limit of model and target; none for none.",
 )
+@click.option(
+    "--car-mass", default="0.124", show_default=True, metavar="KG", help="Of the car, for its constants by parts."
+)
 @click.option("--full-scale", default="4.5", show_default=True, metavar="V", help="The target's full duty in volts.")
 @result_options
 def elevator(
@@ -61,6 +64,7 @@ def elevator(
     presses: str | None,
     live: bool,
     current_limit: str,
+    car_mass: str,
     full_scale: str,
     report: str | None,
     json_to: str | None,
@@ -86,6 +90,7 @@ def elevator(
     from fiohost.labs.elevator.buttons import parse_presses
     from fiohost.labs.elevator.car import Design
     from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment
+    from fiohost.labs.elevator.parts import Parts
 
     ride = Design(
         parse_number("--ride-kp", ride_kp, 0.01, 1000.0, "V/rad"),
@@ -105,6 +110,7 @@ def elevator(
         current_limit_A=None
         if current_limit == "none"
         else parse_number("--current-limit", current_limit, 0.05, 100.0),
+        parts=Parts(car_kg=parse_number("--car-mass", car_mass, 0.0, 1.0, "kg")),
         full_scale_V=parse_number("--full-scale", full_scale, 0.5, 1000.0, "V"),
     )
     folder = report_folder(report)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fiohost.bench.loop import Bench, Progress
 from fiohost.labs.elevator.buttons import Press, parse_presses
 from fiohost.labs.elevator.car import MOTOR, Design, Move, Record, car_model, moves
+from fiohost.labs.elevator.parts import TEXTS_LOAD_NM, Parts, parts_table
 from fiohost.labs.elevator.ride import ByButtons, Demand, Ride, ideal, on_model, record_of, up_and_down
 from fiohost.labs.play import furniture
 from fiohost.labs.result import LabResult
@@ -40,6 +41,7 @@ class Plan:
     presses: Sequence[Press] = parse_presses(DEFAULT_PRESSES)
     current_limit_A: float | None = TEXT_LIMIT_A
     full_scale_V: float = MOTOR.supply_V
+    parts: Parts = Parts()  # noqa: RUF009
 
 
 class Run(NamedTuple):
@@ -113,12 +115,13 @@ def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], Non
         name="elevator",
         title=TITLE,
         target=bench.transport.name,
-        tables=(*(tell.table(part) for part in series if part.runs), told.table),
+        tables=(parts_table(plan.parts), *(tell.table(part) for part in series if part.runs), told.table),
         answers=(*tell.answers(series, limit_A), told.answer),
         notes=tell.notes(limit_A, plan.current_limit_A),
         values={
             "criteria": tell.CRITERIA,
             "current_limit_A": limit_A,
+            **_of_parts(plan.parts),
             **{part.key: tell.values(part) for part in series},
             "ride": told.values,
         },
@@ -160,6 +163,12 @@ def _run(bench: Bench, plan: Plan, design: Design, demand: Demand, path: Path, p
         if supply is not None:
             supply.limit_current(None)
     return Run(design, on_model(MOTOR, design.settings(MOTOR.supply_V), log, limit_A), record_of(log))
+
+
+def _of_parts(parts: Parts) -> dict[str, float]:
+    """The elevator's constants from its parts, for programs."""
+    load = TEXTS_LOAD_NM if parts == Parts() else parts.load_Nm
+    return {"J_total_kgm2": parts.J_total_kgm2, "load_Nm": parts.load_Nm, "B_Nms": parts.B_Nms(load)}
 
 
 def shared_limit(bench: Bench, plan: Plan) -> float | None:
