@@ -18,7 +18,6 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from fiohost.cli.labs.present import cell_text
 from fiohost.labs.characterise import characterise
 from fiohost.labs.constants import TEXT
 from fiohost.labs.elevator.car import Design, moves
@@ -32,6 +31,7 @@ from fiohost.labs.readings import Readings
 from fiohost.labs.result import LabResult
 from fiohost.labs.session import Session
 from fiohost.labs.speed_control import speed_control
+from fiohost.report.lab import cell_text
 
 ROOT = Path(__file__).resolve().parent.parent
 INF = float("inf")
