@@ -21,7 +21,16 @@ MOST_RUNS = 20  # of a list of gains
 
 
 @click.command()
-@click.option("--target", default="sim:nxt_elevator", show_default=True, metavar="T", help="The bench with the car.")
+@click.option(
+    "--target", default="sim:nxt_lego_elevator", show_default=True, metavar="T", help="The bench with the car."
+)
+@click.option(
+    "--diagnose/--no-diagnose",
+    "name_it",
+    default=True,
+    show_default=True,
+    help="At the end, name what the model lacks beside the target.",
+)
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
 @wire_options
 @click.option("--gains", default="2,3,5", show_default=True, metavar="LIST", help="P gains, V/rad.")
@@ -50,6 +59,7 @@ MOST_RUNS = 20  # of a list of gains
 @result_options
 def elevator(
     target: str,
+    name_it: bool,
     seed: str | None,
     gains: str,
     ki: str,
@@ -89,7 +99,7 @@ def elevator(
     from fiohost.bench.connect import connect
     from fiohost.labs.elevator.buttons import parse_presses
     from fiohost.labs.elevator.car import Design
-    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment
+    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment, shared_limit
     from fiohost.labs.elevator.parts import Parts
 
     ride = Design(
@@ -116,6 +126,12 @@ def elevator(
     folder = report_folder(report)
     with connect(target, seed=parse_seed(seed), realtime=live) as bench:
         result = _live(bench, plan, folder, out) if live else experiment(bench, plan, folder, out)
+        limit_A = shared_limit(bench, plan)
+    if name_it and not live:
+        from fiohost.labs.difference import with_difference
+        from fiohost.labs.elevator.car import car_model
+
+        result = with_difference(result, car_model(current_limit_A=limit_A), out)
     present(result, out, folder)
 
 

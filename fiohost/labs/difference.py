@@ -1,0 +1,58 @@
+"""What the model of a lab lacks beside its target, named by the diagnosis from the lab's own logs.
+
+The end of each lab: simulation and bench stood side by side, they differed, and the circle that serves any log says
+by what. A few logs and the effects that such a lab can show keep it short; the whole of it is ``fiohost diagnose``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fiohost.errors import FiohostError
+from fiohost.labs.result import Answer, LabResult
+from fiohost.motor.model import Model
+
+MOST_LOGS = 2
+LOOKED_FOR = ("coulomb_friction", "input_deadband", "load_dependent_friction", "backlash")
+LEFT_OUT = ("disturbed", "pressed", "pi_", "ride")  # a hand on the shaft, and what repeats another log
+QUESTION = "What does the model lack that the target has?"
+
+
+def logs_of(result: LabResult) -> list[str]:
+    """The logs that are looked at: the first and the last of those that hold nothing but motor and law."""
+    found = [
+        name
+        for role, name in result.files.items()
+        if role.startswith("log") and name.endswith(".csv") and not any(word in Path(name).name for word in LEFT_OUT)
+    ]
+    return found if len(found) <= MOST_LOGS else [found[0], found[-1]]
+
+
+def with_difference(result: LabResult, model: Model, say: Callable[[str], None] = lambda text: None) -> LabResult:
+    """The result with what the diagnosis says of its logs; where it cannot say anything, with the reason."""
+    from fiohost.circle.evidence import diagnose
+    from fiohost.discover.result import to_json
+    from fiohost.report.words import verdict_sentence
+
+    logs = logs_of(result)
+    if not logs:
+        return result
+    say(f"what the model lacks, from {', '.join(Path(name).name for name in logs)}")
+    try:
+        found: Mapping[str, Any] = to_json(diagnose(logs, model=model, library=LOOKED_FOR))
+    except FiohostError as exc:
+        return replace(result, answers=(*result.answers, Answer(QUESTION, f"These logs do not say: {exc}")))
+    told = f"{verdict_sentence(found)} From {' and '.join(Path(name).name for name in logs)}; looked for were "
+    told += ", ".join(name.replace("_", " ") for name in LOOKED_FOR) + f". More: fiohost diagnose {' '.join(logs)}"
+    values = {
+        "verdict": found["verdict"],
+        "effects": [step["effect"] for step in found["steps"]],
+        "indistinguishable_from": [step.get("indistinguishable_from") or [] for step in found["steps"]],
+        "logs": logs,
+    }
+    return replace(
+        result, answers=(*result.answers, Answer(QUESTION, told)), values={**result.values, "difference": values}
+    )
