@@ -252,7 +252,22 @@ def test_every_experiment_has_its_page() -> None:
 
 def test_a_command_prints_draws_and_writes_json(tmp_path: Path) -> None:
     answer = CliRunner().invoke(
-        cli, ["lab", "open-loop-step", "--volts", "2", "--disturbance", "0", "--report", str(tmp_path), "--json", "-"]
+        cli,
+        [
+            "lab",
+            "open-loop-step",
+            "--volts",
+            "2",
+            "--disturbance",
+            "0",
+            "--report",
+            str(tmp_path),
+            "--json",
+            "-",
+            "--target",
+            "sim:nxt_no_load",
+            "--no-diagnose",
+        ],
     )
     assert answer.exit_code == 0, answer.stderr
     said = json.loads(answer.stdout)

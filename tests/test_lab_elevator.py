@@ -136,7 +136,23 @@ def test_gains_in_volts_per_radian_are_those_of_the_text() -> None:
 def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     """The lab as it is run from the command line, with few gains."""
     folder = tmp_path_factory.mktemp("elevator")
-    args = ["--gains", "2,5", "--ki", "0.2", "--powers", "40", "--kd", "0.2", "--ride-kp", "2.5", "--ride-power", "35"]
+    args = [
+        "--target",
+        "sim:nxt_elevator",
+        "--no-diagnose",
+        "--gains",
+        "2,5",
+        "--ki",
+        "0.2",
+        "--powers",
+        "40",
+        "--kd",
+        "0.2",
+        "--ride-kp",
+        "2.5",
+        "--ride-power",
+        "35",
+    ]
     args += ["--presses", "up@1,up@3:0.7,up@6:0.7,up@9:0.7,down@12", "--report", str(folder), "--json", "-"]
     result = CliRunner().invoke(cli, ["lab", "elevator", *args])
     assert result.exit_code == 0, result.stderr

@@ -56,8 +56,8 @@ def whole(text: str) -> Page:
 @pytest.mark.parametrize(
     ("arguments", "lab", "plots"),
     [
-        (["open-loop-step", "--volts", "2"], "open-loop-step", 1),
-        (["fine-tuning", "--tune", "B"], "fine-tuning", 1),
+        (["open-loop-step", "--volts", "2", "--no-diagnose"], "open-loop-step", 1),
+        (["fine-tuning", "--tune", "B", "--no-diagnose"], "fine-tuning", 1),
         (["problems", "D-7"], "D-7", 1),
     ],
 )

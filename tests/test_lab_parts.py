@@ -34,7 +34,19 @@ def test_the_formulas_of_the_second_order_loop_give_what_the_text_prints() -> No
 def test_the_inertia_of_the_board_is_found_by_its_position_response(tmp_path: Path) -> None:
     """From table D-8's 0.00302 to the 0.00273 that is in the board, the voltage held within 2.25 V."""
     saved = tmp_path / "arm.toml"
-    arguments = ["lab", "fine-tuning", "--seed", "1", "--save", str(saved), "--report", str(tmp_path / "lab")]
+    arguments = [
+        "lab",
+        "fine-tuning",
+        "--target",
+        "sim:nxt_arm_tuned",
+        "--no-diagnose",
+        "--seed",
+        "1",
+        "--save",
+        str(saved),
+        "--report",
+        str(tmp_path / "lab"),
+    ]
     answer = CliRunner().invoke(cli, arguments)
     assert answer.exit_code == 0, answer.stderr
     found = MotorConstants.load(str(saved))
