@@ -15,20 +15,22 @@ from fiohost.errors import FiohostError
 from fiohost.labs.result import Answer, LabResult
 from fiohost.motor.model import Model
 
-MOST_LOGS = 2
+MOST_LOGS, MOST_ROWS = 3, 2000  # short logs say as much in a fraction of the time
+FREE = ("linear.gain_deg_s_per_pct", "linear.tau_s", "constant_load.level_pct")  # limits and winding are known
 LOOKED_FOR = ("coulomb_friction", "input_deadband", "load_dependent_friction", "backlash")
 LEFT_OUT = ("disturbed", "pressed", "pi_", "ride")  # a hand on the shaft, and what repeats another log
 QUESTION = "What does the model lack that the target has?"
 
 
 def logs_of(result: LabResult) -> list[str]:
-    """The logs that are looked at: the first and the last of those that hold nothing but motor and law."""
+    """The logs that are looked at: first, middle and last of the short ones that hold nothing but motor and law."""
     found = [
         name
         for role, name in result.files.items()
         if role.startswith("log") and name.endswith(".csv") and not any(word in Path(name).name for word in LEFT_OUT)
     ]
-    return found if len(found) <= MOST_LOGS else [found[0], found[-1]]
+    short = [name for name in found if Path(name).read_bytes().count(b"\n") <= MOST_ROWS]
+    return short if len(short) <= MOST_LOGS else [short[0], short[len(short) // 2], short[-1]]
 
 
 def with_difference(result: LabResult, model: Model, say: Callable[[str], None] = lambda text: None) -> LabResult:
@@ -40,6 +42,7 @@ def with_difference(result: LabResult, model: Model, say: Callable[[str], None] 
     logs = logs_of(result)
     if not logs:
         return result
+    model = replace(model, fixed=frozenset(set(model.values) - set(FREE)))
     say(f"what the model lacks, from {', '.join(Path(name).name for name in logs)}")
     try:
         found: Mapping[str, Any] = to_json(diagnose(logs, model=model, library=LOOKED_FOR))
