@@ -1,7 +1,7 @@
 """What the model of a lab lacks beside its target, named by the diagnosis from the lab's own logs.
 
 The end of each lab: simulation and bench stood side by side, they differed, and the circle that serves any log says
-by what. A few logs and the effects that such a lab can show keep it short; the whole of it is ``fiohost diagnose``.
+by what. A few logs, the effects that such a lab can show and a model without limits keep it short; the whole of it is ``fiohost diagnose``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fiohost.motor.model import Model
 
 MOST_LOGS, MOST_ROWS = 3, 2000  # short logs say as much in a fraction of the time
 FREE = ("linear.gain_deg_s_per_pct", "linear.tau_s", "constant_load.level_pct")  # limits and winding are known
-LOOKED_FOR = ("coulomb_friction", "input_deadband", "load_dependent_friction", "backlash")
+LOOKED_FOR = ("coulomb_friction", "input_deadband", "backlash")
 LEFT_OUT = ("disturbed", "pressed", "pi_", "ride")  # a hand on the shaft, and what repeats another log
 QUESTION = "What does the model lack that the target has?"
 
@@ -49,7 +49,10 @@ def with_difference(result: LabResult, model: Model, say: Callable[[str], None] 
     except FiohostError as exc:
         return replace(result, answers=(*result.answers, Answer(QUESTION, f"These logs do not say: {exc}")))
     told = f"{verdict_sentence(found)} From {' and '.join(Path(name).name for name in logs)}; looked for were "
-    told += ", ".join(name.replace("_", " ") for name in LOOKED_FOR) + f". More: fiohost diagnose {' '.join(logs)}"
+    told += (
+        ", ".join(name.replace("_", " ") for name in LOOKED_FOR)
+        + f"; a limit of the current is not in the model. More: fiohost diagnose {' '.join(logs)}"
+    )
     values = {
         "verdict": found["verdict"],
         "effects": [step["effect"] for step in found["steps"]],

@@ -72,7 +72,7 @@ def _do(options: dict[str, Any], experiment: Callable[[Session], LabResult]) -> 
         options["target"], options["constants"], folder, seed=seed, saturation=options["saturation"]
     ) as session:
         result = experiment(session)
-        model = session.constants.model(current_limit_A=session.bench_limits.amperes)
+        model = session.constants.model()
     if options["name_it"]:
         from fiohost.labs.difference import with_difference
 

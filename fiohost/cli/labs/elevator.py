@@ -99,7 +99,7 @@ def elevator(
     from fiohost.bench.connect import connect
     from fiohost.labs.elevator.buttons import parse_presses
     from fiohost.labs.elevator.car import Design
-    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment, shared_limit
+    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment
     from fiohost.labs.elevator.parts import Parts
 
     ride = Design(
@@ -126,12 +126,11 @@ def elevator(
     folder = report_folder(report)
     with connect(target, seed=parse_seed(seed), realtime=live) as bench:
         result = _live(bench, plan, folder, out) if live else experiment(bench, plan, folder, out)
-        limit_A = shared_limit(bench, plan)
     if name_it and not live:
         from fiohost.labs.difference import with_difference
         from fiohost.labs.elevator.car import car_model
 
-        result = with_difference(result, car_model(current_limit_A=limit_A), out)
+        result = with_difference(result, car_model(), out)
     present(result, out, folder)
 
 
