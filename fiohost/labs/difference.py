@@ -1,7 +1,8 @@
 """What the model of a lab lacks beside its target, named by the diagnosis from the lab's own logs.
 
 The end of each lab: simulation and bench stood side by side, they differed, and the circle that serves any log says
-by what. A few logs, the effects that such a lab can show and a model without limits keep it short; the whole of it is ``fiohost diagnose``.
+by what. A few logs, the effects that such a lab can show and a model without limits keep it short; the whole of it is
+``fiohost diagnose``.
 """
 
 from __future__ import annotations
