@@ -31,6 +31,10 @@ LABS: dict[str, tuple[str, str]] = {
     ),
     "speed-control": ("fiohost.cli.labs.control_lab:speed_control", "Speed by P and PI, a gear head, a disturbance."),
     "position-control": ("fiohost.cli.labs.control_lab:position_control", "Position by P, PI and PID; a PI designed."),
+    "fine-tuning": (
+        "fiohost.cli.labs.control_lab:fine_tuning",
+        "J or B by the position response, poles, Eqs. D-15 on.",
+    ),
     "design-project": ("fiohost.cli.labs.control_lab:design_project", "The arm that drops its payload into a cup."),
     "steps": ("fiohost.cli.labs.control_lab:steps", "Steps 1 to 25 of the control lab, each answered."),
     "precompensation": (

@@ -34,6 +34,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
+    "convert": ("fiohost.cli.convert:convert", "Convert between units of motors and benches."),
+    "tf": ("fiohost.cli.convert:tf", "A transfer function in all its forms, of a motor or any."),
     "check": ("fiohost.cli.check:check", "Say whether a log is whole, cut off or altered."),
     "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),

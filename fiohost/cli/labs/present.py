@@ -1,4 +1,4 @@
-"""How the result of a lab is shown: tables, answers, pictures in a folder, JSON."""
+"""How the result of a lab is shown: tables, answers, pictures and a page in a folder, JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fiohost import files
 from fiohost.cli.output import Output, json_option
 
 if TYPE_CHECKING:
-    from fiohost.labs.result import Cell, LabResult, Table
+    from fiohost.labs.result import LabResult, Table
 
 MOST_COLUMNS = 1000
 
@@ -32,12 +32,12 @@ def report_folder(report: str | None) -> Path:
 
 
 def present(result: LabResult, out: Output, folder: Path) -> None:
-    """Print a result, save its pictures as ``FOLDER/NAME.png``, write its JSON."""
+    """Print a result, save its pictures as ``FOLDER/NAME.png`` and its page as ``FOLDER/LAB.html``, write its JSON."""
     out.json(show(result, out, folder))
 
 
 def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
-    """Print a result and save its pictures; gives what its JSON is, for a command that has several."""
+    """Print a result, save its pictures and its page; gives what its JSON is, for a command that has several."""
     out(f"{result.title}  [{result.target}]")
     for table in result.tables:
         _print_table(table, out)
@@ -45,26 +45,25 @@ def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
         out(f"\n{answer.question}\n  {answer.answer}")
     for note in result.notes:
         out(f"note: {note}")
+    from fiohost.report.lab import write_lab_page
     from fiohost.report.pictures import save_figure
 
     made = dict(result.files)
+    pictures = {}
     for name, draw in result.figures.items():
-        made[name] = str(save_figure(draw(), folder / f"{name}.png"))
+        path = save_figure(draw(), folder / f"{name}.png")
+        made[name], pictures[name] = str(path), path.read_bytes()
+    made["page"] = str(write_lab_page(folder / f"{result.name}.html", result, pictures, made))
     for role, name in made.items():
         out(f"{role}: {name}")
     return {**result.to_json(), "files": made}
 
 
-def cell_text(cell: Cell) -> str:
-    """A cell as it is printed: four significant digits."""
-    if cell is None:
-        return ""
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
-
-
 def _print_table(table: Table, out: Output) -> None:
     from rich import box
     from rich.table import Table as RichTable
+
+    from fiohost.report.lab import cell_text
 
     shown = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD)
     for i, column in enumerate(table.columns):
