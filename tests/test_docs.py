@@ -12,7 +12,7 @@ import click
 import pytest
 
 from fiohost.bench.experiment import Experiment
-from fiohost.bench.imports import TableMap
+from fiohost.importing.map import TableMap
 from fiohost.bench.profile import BenchProfile
 from fiohost.bench.signals import KINDS
 from fiohost.circle.readings import read_readings

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fiohost.bench.imports import TableMap, log_from_table
 from fiohost.circle.evidence import diagnose
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json

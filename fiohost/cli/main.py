@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
     "check": ("fiohost.cli.check:check", "Say whether a log is whole, cut off or altered."),
-    "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
+    "import": ("fiohost.cli.imports:import_", "Make a log of any table: its columns are found, or told by a map."),
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "devices": ("fiohost.cli.hardware:devices", "List boards that are connected."),
     "doctor": ("fiohost.cli.hardware:doctor", "Look for what is not right between this computer and the motor."),
