@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_seed
+from fiohost.cli.options import PATH, expanded, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     multiple=True,
     type=PATH,
     metavar="LOG",
-    help="A log that only reports; repeat it for more.",
+    help="A log that only reports, a folder of such logs, or a pattern in quotes; repeat it for more.",
 )
 @click.option(
     "--model",
@@ -67,7 +67,7 @@ def diagnose(
     \b
     Examples:
       fiohost diagnose run1.csv run2.csv --holdout run3.csv --model linear+coulomb_friction
-      fiohost diagnose power_*0.csv --holdout power_015.csv --map nxt_open_loop --report out
+      fiohost diagnose power_*0.csv --holdout 'power_*5.csv' --map nxt_open_loop --report out
       fiohost diagnose --readings responses.toml --model nxt.toml --report out
     """
     if not logs and not readings:
@@ -92,12 +92,14 @@ def diagnose(
         for role, group in (("training", train), ("held out", held)):
             for log in group:
                 say(f"{role:9} {log.path}: {len(log)} rows")
+                if log.metadata.get("understood"):
+                    say(f"          understood: {log.metadata['understood']}")
                 for note in log.dropped:
                     say(f"          dropped: {note}")
 
     with progress() as doing:
         found = run_diagnosis(
-            logs, holdout, declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
+            expanded(logs, "LOG"), expanded(holdout, "--holdout"), declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
         )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_number
+from fiohost.cli.options import PATH, expanded, parse_number
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.files import claim
 
@@ -68,9 +68,12 @@ def identify(
     from fiohost.circle.evidence import read_logs
     from fiohost.estimation.logs import identify as run
 
-    read = [log.first(MOST_ROWS) for log in read_logs(logs, table_map)]
+    read = [log.first(MOST_ROWS) for log in read_logs(expanded(logs, "LOG"), table_map)]
     found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
+    for log in read:
+        if log.metadata.get("understood"):
+            out(f"note: {log.path}: {log.metadata['understood']}")
     dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
     for name, notes in dropped.items():
         out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")

@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
     "check": ("fiohost.cli.check:check", "Say whether a log is whole, cut off or altered."),
     "import": ("fiohost.cli.imports:import_", "Make a log of any table: its columns are found, or told by a map."),
+    "plot": ("fiohost.cli.plot:plot", "Draw logs: over time, phase plane, spectrum, a model beside; or a page."),
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "devices": ("fiohost.cli.hardware:devices", "List boards that are connected."),
     "doctor": ("fiohost.cli.hardware:doctor", "Look for what is not right between this computer and the motor."),

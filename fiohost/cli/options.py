@@ -15,6 +15,8 @@ import click
 from fiohost.errors import ConfigError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+# what of a folder is taken for logs and tables
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".h5", ".hdf5", ".parquet")
 PATH = click.Path(path_type=Path, readable=False)  # what cannot be read is refused by who reads it, with exit 1
 
 
@@ -101,6 +103,28 @@ def profile_option(command: Command) -> Command:
     """Add ``--profile FILE``, a bench profile, as argument ``profile`` (text or None)."""
     text = "Bench profile with the deadband, from fiohost deadband --save."
     return click.option("--profile", metavar="FILE", help=text)(command)
+
+
+def expanded(paths: Sequence[Path], what: str) -> list[Path]:
+    """Files for files, folders (all tables and logs in them) and patterns such as ``run_*.csv``, in order of their names.
+
+    Raises ConfigError where a folder or pattern holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in TABLES and p.is_file())
+            if not inside:
+                raise ConfigError(f"{what} {path}: the folder holds no log or table ({', '.join(TABLES)})")
+            found += inside
+        elif any(mark in path.name for mark in "*?[") and not path.exists():
+            inside = sorted(path.parent.glob(path.name))
+            if not inside:
+                raise ConfigError(f"{what} {path}: no file fits this pattern")
+            found += inside
+        else:
+            found.append(path)
+    return found
 
 
 def parse_number(option: str, text: str, low: float, high: float, unit: str = "") -> float:

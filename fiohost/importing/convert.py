@@ -21,6 +21,7 @@ from fiohost.importing.times import spaced, times_s
 DUTY_TOLERANCE_PCT = 0.01  # a command printed with few digits may exceed full scale by its rounding
 AMBIGUOUS_STEP = 0.4  # of a turn between rows: the shortest path may be the wrong one
 MOST_MISSING = 0.5  # of the rows
+LOOK_AHEAD = 6  # rows in which a speed must not fall further at its minimum
 MOST_SHOWN_CHARS = 500
 
 
@@ -156,11 +157,19 @@ def signed_by(speed: FloatArray, command: FloatArray) -> FloatArray:
     begin, way = 0, float(sign[0])
     for i, turn in enumerate(turns):
         end = int(turns[i + 1]) if i + 1 < len(turns) else len(speed)
-        at = int(turn) + int(np.argmin(speed[int(turn) : end]))
+        at = int(turn) + standstill(speed[int(turn) : end])
         result[begin:at] = way * speed[begin:at]
         begin, way = at, -way
     result[begin:] = way * speed[begin:]
     return result
+
+
+def standstill(speed: FloatArray) -> int:
+    """The row at which a speed without sign, shape (rows,), goes through zero: its first clear minimum."""
+    for i in np.flatnonzero(speed < 0.5 * speed[0]):
+        if speed[i] <= speed[i : i + LOOK_AHEAD].min():
+            return int(i)
+    return int(np.argmin(speed))
 
 
 def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: Path) -> FloatArray:

@@ -109,7 +109,7 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     chosen = [answers.command, answers.output]
     if not raw.named and None in chosen:
         shown = ", ".join(raw.names[:6])
-        found.unknown.append(Unknown("names", f"what its columns are, since no row has names ({shown})", "--command and --output"))
+        found.unknown.append(Unknown("names", f"what its columns are, since no row has names ({shown})", "--command and --measured"))
         return _done(raw, None, found, answers)
 
     clock = _clock(raw, heads, answers, found)
@@ -174,7 +174,7 @@ def _output(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Foun
         return next((h for h in heads if h.column.name == answers.output), None)
     likely = [h for h in heads if h.role == roles.OUTPUT and h.column.name not in (*found.used, answers.command)]
     if not likely:
-        found.unknown.append(Unknown("output", f"which column is measured ({_shown(raw)})", "--output", tuple(raw.names)))
+        found.unknown.append(Unknown("output", f"which column is measured ({_shown(raw)})", "--measured", tuple(raw.names)))
         return None
     order = {u.ANGLE: 0, u.POSITION: 1, u.SPEED: 2}
     best = max(h.score(roles.OUTPUT) for h in likely)
@@ -190,7 +190,7 @@ def _output(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Foun
     ]
     if same:
         names = " or ".join(repr(h.column.name) for h in (first, *same))
-        found.unknown.append(Unknown("output", f"which column is the output, {names}", "--output", tuple(raw.names)))
+        found.unknown.append(Unknown("output", f"which column is the output, {names}", "--measured", tuple(raw.names)))
         return None
     found.used.add(first.column.name)
     return first

@@ -105,7 +105,7 @@ def name_and_unit(head: str) -> tuple[str, str]:
     found = _BRACKETS.match(head)
     if found and (is_unit(found[2]) or not found[3]):
         inside = found[2].strip()
-        first = re.split(r"[,;]\s*", inside)[0]
+        first = re.split(r"[,;\s]\s*", inside)[0]
         return found[1].strip() or head, inside if is_unit(inside) or not is_unit(first) else first
     for pattern in (r"^(.*\S)\s+in\s+(\S+)$", r"^(.*\S)\s+/\s+(\S+)$", r"^(.*\S),\s*(\S+)$", r"^(.*\S)\s+(\S+)$"):
         parts = re.match(pattern, head)

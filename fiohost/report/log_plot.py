@@ -15,7 +15,7 @@ from fiohost.report.series import Array
 from fiohost.report.words import number
 
 MOST_LINES = 12  # of text below a picture
-LINE_IN = 0.19
+LINE_IN = 0.16
 
 
 @matplotlib.rc_context(STYLE)
