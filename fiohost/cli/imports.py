@@ -24,14 +24,20 @@ PICTURE = ".png"
 
 @click.command("import")
 @click.argument("table", type=PATH)
-@click.option("--map", "map_name", metavar="MAP", help="Map file, or the name of a shipped one.  [default: it is found]")
+@click.option(
+    "--map", "map_name", metavar="MAP", help="Map file, or the name of a shipped one.  [default: it is found]"
+)
 @click.option("--yes", is_flag=True, help="Take what is found without asking.")
-@click.option("-o", "--output", type=PATH, metavar="LOG", help="Log to write.  [default: TABLE_log.csv, or the first free]")
+@click.option(
+    "-o", "--output", type=PATH, metavar="LOG", help="Log to write.  [default: TABLE_log.csv, or the first free]"
+)
 @click.option("--time", metavar="COLUMN", help="Which column is the time.")
 @click.option("--command", metavar="COLUMN", help="Which column is the command: duty, PWM or voltage.")
 @click.option("--measured", metavar="COLUMN", help="Which column is measured: angle, speed or position.")
 @click.option("--unit", metavar="UNIT", help="Unit of the measured column: deg, rad, rev, counts, deg/s, rpm, m, ...")
-@click.option("--full-scale", metavar="X", help="What of the command is 100 %, in its own unit: 12 for 12 V, 255 for PWM.")
+@click.option(
+    "--full-scale", metavar="X", help="What of the command is 100 %, in its own unit: 12 for 12 V, 255 for PWM."
+)
 @click.option("--counts-per-rev", metavar="N", help="Counts of a turn.")
 @click.option("--sample-time", metavar="S", help="Seconds between rows, where no column is one of time.")
 @click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the log.  [default: beside the log]")
@@ -57,7 +63,9 @@ def import_(
     say = output_for(json_to)
     numbers = {
         "full_scale": None if full_scale is None else parse_number("--full-scale", full_scale, 1e-9, 1e9),
-        "counts_per_rev": None if counts_per_rev is None else parse_number("--counts-per-rev", counts_per_rev, 1.0, 1e9),
+        "counts_per_rev": None
+        if counts_per_rev is None
+        else parse_number("--counts-per-rev", counts_per_rev, 1.0, 1e9),
         "sample_time_s": None if sample_time is None else parse_number("--sample-time", sample_time, 1e-7, 3600.0, "s"),
     }
     from fiohost.importing.understand import Answers
@@ -68,10 +76,10 @@ def import_(
             raise ConfigError("--map says which column is what; leave the other answers away, or leave the map away")
         _with_map(say, table, map_name, output, plot_to)
         return
-    from fiohost.importing.automatic import is_log
+    from fiohost.importing.automatic import says_it_is_a_log
     from fiohost.importing.read import read_raw
 
-    if is_log(table):
+    if says_it_is_a_log(table):
         from fiohost.bench.log import Log
 
         log = Log.read(table)  # says what is wrong with it, if anything is

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fiohost.bench.head import OUTPUT_UNITS
 from fiohost.bench.log import Log
 from fiohost.importing.convert import log_from_raw
 from fiohost.importing.raw import RawTable
@@ -25,7 +26,13 @@ def is_log(path: Path) -> bool:
         return True
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     names = [name.strip().strip('"') for name in lines[0].split(",")] if lines else []
-    return not lines or ("time_s" in names and "duty_pct" in names)
+    outputs = ("pos", *OUTPUT_UNITS)
+    return not lines or ("time_s" in names and "duty_pct" in names and any(name in names for name in outputs))
+
+
+def says_it_is_a_log(path: Path) -> bool:
+    """Whether a file names the schema of a log. Raises LogError."""
+    return b"fiohost.log" in first_bytes(path).partition(b"\n")[0]
 
 
 def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None) -> list[Log]:
@@ -38,7 +45,9 @@ def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None
         if isinstance(one, Log):
             found.append(one)
             continue
-        others = [other for other in read if isinstance(other, RawTable) and other is not one and other.names == one.names]
+        others = [
+            other for other in read if isinstance(other, RawTable) and other is not one and other.names == one.names
+        ]
         told = understand(one, answers, others)
         found.append(log_from_raw(one, told.certain, told.sentences))
     return found

@@ -12,7 +12,17 @@ import numpy as np
 
 from fiohost import files
 from fiohost.errors import ConfigError, LogError
-from fiohost.importing.raw import MAX_BYTES, NUMBER, TEXT, TIME, FloatArray, RawColumn, RawTable, checked_size, unique_names
+from fiohost.importing.raw import (
+    MAX_BYTES,
+    NUMBER,
+    TEXT,
+    TIME,
+    FloatArray,
+    RawColumn,
+    RawTable,
+    checked_size,
+    unique_names,
+)
 
 MAX_DEPTH = 8
 MAX_ITEMS = 10_000
@@ -135,7 +145,12 @@ def _leaves(item: Any, name: str, depth: int = 0) -> Iterator[tuple[str, Any]]:
 
 
 def _table(
-    path: Path, data: bytes, leaves: Mapping[str, Any], form: str, units: Mapping[str, str] | None = None, sha256: str = ""
+    path: Path,
+    data: bytes,
+    leaves: Mapping[str, Any],
+    form: str,
+    units: Mapping[str, str] | None = None,
+    sha256: str = "",
 ) -> RawTable:
     """The vectors of the length that most have, as columns. Raises LogError."""
     vectors = {k: v for k, v in leaves.items() if isinstance(v, np.ndarray) and v.ndim == 1 and v.size >= SHORTEST}
@@ -153,7 +168,9 @@ def _table(
     columns = []
     for (key, values), name in zip(vectors.items(), names, strict=True):
         found, kind = _numbers(values)
-        columns.append(RawColumn(name, found, told.get(key, ""), kind, missing=_missing(found) if kind != TEXT else None))
+        columns.append(
+            RawColumn(name, found, told.get(key, ""), kind, missing=_missing(found) if kind != TEXT else None)
+        )
     if not sha256:
         sha256 = hashlib.sha256(data).hexdigest()
     return RawTable(path, sha256, tuple(columns), form, (), tuple(notes))

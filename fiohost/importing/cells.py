@@ -11,7 +11,9 @@ import numpy as np
 
 from fiohost.importing.raw import NUMBER, TEXT, TIME, FloatArray, RawColumn
 
-MISSING = frozenset({"", "nan", "-", "--", "n/a", "na", "#n/a", "#nv", "null", "none", "?", "-nan", "1.#qnan", "missing"})
+MISSING = frozenset(
+    {"", "nan", "-", "--", "n/a", "na", "#n/a", "#nv", "null", "none", "?", "-nan", "1.#qnan", "missing"}
+)
 MOSTLY = 0.9  # share of a column's cells that make it one of numbers, the rest being wrong cells
 DAY_S = 86_400.0
 
@@ -84,7 +86,9 @@ def is_value(cell: str) -> bool:
 def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Sequence[int]) -> RawColumn:
     """The column of these cells, *lines* being the numbers of their lines in the file."""
     try:
-        fast = np.array(cells, dtype=np.str_).astype(np.float64) if not any("_" in cell for cell in cells[:50]) else None
+        fast = (
+            np.array(cells, dtype=np.str_).astype(np.float64) if not any("_" in cell for cell in cells[:50]) else None
+        )
     except ValueError:
         fast = None
     if fast is not None and np.isfinite(fast).all():

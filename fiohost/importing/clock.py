@@ -44,7 +44,9 @@ def clock_of(head: Head, path: Path) -> Clock:
         wrap = next((size for size in COUNTERS if np.all(steps[steps < 0] < -0.5 * size) and values.max() < size), 0.0)
         if not wrap:
             row = int(np.argmax(steps < 0)) + 2
-            raise DataError(f"{path}: the time {name!r} runs backwards at row {row} of the data: two runs in one table?")
+            raise DataError(
+                f"{path}: the time {name!r} runs backwards at row {row} of the data: two runs in one table?"
+            )
         steps = np.where(steps < 0, steps + wrap, steps)
     span = float(steps.sum())
     if span <= 0.0:

@@ -90,7 +90,9 @@ def _convert(raw: RawTable, table_map: TableMap, understood: Sequence[str]) -> t
     names = ["time_s", "duty_pct", table_map.log_column, *(one.name for one in table_map.beside)]
     beside = [columns[one.column] * one.scale for one in table_map.beside]
 
-    head = [f"# {key}: {_one_line(value)}\n" for key, value in _metadata(raw, table_map, sample_time_s, understood) if value]
+    head = [
+        f"# {key}: {_one_line(value)}\n" for key, value in _metadata(raw, table_map, sample_time_s, understood) if value
+    ]
     head.append(",".join(names) + "\n")
     if beside:
         extra = ["".join(f",{value:.9g}" for value in row) for row in zip(*beside, strict=True)]

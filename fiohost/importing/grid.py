@@ -52,7 +52,7 @@ def _rounded(step: float, span: float) -> float:
     """The step, or a number of few digits that is the same over the whole range."""
     for digits in range(1, 9):
         short = float(f"{step:.{digits}g}")
-        if abs(short - step) / step * (span / step) < 0.05:
+        if abs(short - step) / step * (span / step) < 1e-3:
             return short
     return step
 
@@ -78,8 +78,23 @@ def wrap_of(values: FloatArray, unit: str) -> float:
         for size in (*COUNTER_TURNS, 1024, 2048, 4096, 8192, 16_384):
             if size * (1.0 - TURN_MATCH) <= span + 1.0 <= size:
                 return float(size)
-        return float(round(span + 1.0))
+        return _counts_of_turn(finite, span, low)
     return 0.0
+
+
+def _counts_of_turn(counts: FloatArray, span: float, low: float) -> float:
+    """The counts after which a counter begins anew: how far it jumps, and how far it moved meanwhile."""
+    steps = np.diff(counts)
+    at = np.flatnonzero(np.abs(steps) > JUMP * span)
+    at = at[(at > 0) & (at < steps.size - 1)]
+    least = span + 1.0 + (low if low < 0.05 * span else 0.0)
+    if not at.size:
+        return float(round(least))
+    between = 0.5 * (steps[at - 1] + steps[at + 1])
+    size = max(least, float(np.median(np.abs(steps[at] - between))))
+    near = [n for n in range(int(max(least, 0.995 * size)), int(1.005 * size) + 2) if n >= least]
+    smooth = [n for n in near if n % 100 == 0 or n % 360 == 0 or n in (512, 1024, 2048, 4096)]
+    return float(min(smooth or [round(size)], key=lambda n: abs(n - size)))
 
 
 def turn_of(values: FloatArray) -> str:

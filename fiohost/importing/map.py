@@ -195,7 +195,13 @@ class TableMap:
         lines += ["common_zero = true"] if self.common_zero else []
         lines += [f"noise_rms = {self.noise_rms!r}"] if self.noise_rms is not None else []
         for one in self.beside:
-            lines += ["", "[[beside]]", f"column = {_quoted(one.column)}", f'name = "{one.name}"', f"scale = {one.scale!r}"]
+            lines += [
+                "",
+                "[[beside]]",
+                f"column = {_quoted(one.column)}",
+                f'name = "{one.name}"',
+                f"scale = {one.scale!r}",
+            ]
         return "\n".join(lines) + "\n"
 
 

@@ -18,7 +18,8 @@ TIME, COMMAND, OUTPUT, REFERENCE, CURRENT, SUPPLY, TEMPERATURE, TORQUE, INDEX, O
 # Words of a head, English and German; the number says how sure a word makes.
 WORDS: dict[str, dict[str, float]] = {
     TIME: dict.fromkeys(
-        "time zeit timestamp datetime uhrzeit zeitstempel zeitpunkt millis micros elapsed tempo temps seconds".split(), 3.0
+        "time zeit timestamp datetime uhrzeit zeitstempel zeitpunkt millis micros elapsed tempo temps seconds".split(),
+        3.0,
     )
     | {"t": 2.5, "x_value": 2.5, "date": 1.5, "datum": 1.5, "clock": 1.5, "ts": 2.5, "tick_time": 2.0},
     COMMAND: dict.fromkeys(
@@ -34,7 +35,8 @@ WORDS: dict[str, dict[str, float]] = {
     )
     | dict.fromkeys("y count counts ticks w n x q angular output rotation ausgang tacho".split(), 1.5),
     REFERENCE: dict.fromkeys(
-        "ref reference setpoint soll sollwert target desired sollwinkel solldrehzahl fuehrungsgroesse wanted r".split(), 3.0
+        "ref reference setpoint soll sollwert target desired sollwinkel solldrehzahl fuehrungsgroesse wanted r".split(),
+        3.0,
     ),
     CURRENT: dict.fromkeys("current strom amps amp i iq motorcurrent motorstrom ankerstrom i_a ia".split(), 2.5),
     SUPPLY: dict.fromkeys(

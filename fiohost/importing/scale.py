@@ -71,7 +71,9 @@ def scale_of(
     if not whole or steps is None:
         return None
     line = f"PWM steps of {steps:g}"
-    return Scale(100.0 / steps, "", line, assumed=f"{name!r}, whole numbers up to {largest:g}, are PWM steps of {steps:g}")
+    return Scale(
+        100.0 / steps, "", line, assumed=f"{name!r}, whole numbers up to {largest:g}, are PWM steps of {steps:g}"
+    )
 
 
 def _voltage(command: Head, largest: float, factor: float, supply: Head | None, titles: Sequence[str]) -> Scale:

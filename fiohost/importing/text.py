@@ -64,7 +64,11 @@ def read_text_table(path: Path, wanted: Sequence[str] = ()) -> RawTable:
         if names.count(name) > 1:
             raise LogError(f"{path} has {names.count(name)} columns named {name!r}: rename all but one")
     shown = unique_names(names or [""] * dialect.width)
-    rows, numbers, notes = _rows(body[dialect.start :], dialect, path)
+    heads = {line.text for line in body[: dialect.start]}
+    data_lines = [line for line in body[dialect.start :] if line.text not in heads]
+    again = len(body) - dialect.start - len(data_lines)
+    rows, numbers, notes = _rows(data_lines, dialect, path)
+    notes += [f"{again} lines that repeat the names"] if again else []
     checked_size(path, len(rows), len(wanted) or dialect.width)
     comma = _comma(rows, dialect)
     if names and 2 * len(names) == dialect.width and dialect.delimiter == ",":
@@ -85,7 +89,13 @@ def read_text_table(path: Path, wanted: Sequence[str] = ()) -> RawTable:
     form += [f"{len(titles)} title rows"] if titles else []
     form += ["units in a row of their own"] if any(units) else []
     return RawTable(
-        path, hashlib.sha256(data).hexdigest(), tuple(columns), ", ".join(form), tuple(titles), tuple(notes), bool(names)
+        path,
+        hashlib.sha256(data).hexdigest(),
+        tuple(columns),
+        ", ".join(form),
+        tuple(titles),
+        tuple(notes),
+        bool(names),
     )
 
 
@@ -264,9 +274,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     return not filled or 2 * known > len(filled)
 
 
-def _rows(
-    body: Sequence[_Line], dialect: _Dialect, path: Path
-) -> tuple[list[list[str]], list[int], list[str]]:
+def _rows(body: Sequence[_Line], dialect: _Dialect, path: Path) -> tuple[list[list[str]], list[int], list[str]]:
     """Cells of every row of data, the lines they are on, and what was left out."""
     width, delimiter = dialect.width, dialect.delimiter
     rows: list[list[str]] = []

@@ -109,7 +109,9 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     chosen = [answers.command, answers.output]
     if not raw.named and None in chosen:
         shown = ", ".join(raw.names[:6])
-        found.unknown.append(Unknown("names", f"what its columns are, since no row has names ({shown})", "--command and --measured"))
+        found.unknown.append(
+            Unknown("names", f"what its columns are, since no row has names ({shown})", "--command and --measured")
+        )
         return _done(raw, None, found, answers)
 
     clock = _clock(raw, heads, answers, found)
@@ -174,7 +176,9 @@ def _output(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Foun
         return next((h for h in heads if h.column.name == answers.output), None)
     likely = [h for h in heads if h.role == roles.OUTPUT and h.column.name not in (*found.used, answers.command)]
     if not likely:
-        found.unknown.append(Unknown("output", f"which column is measured ({_shown(raw)})", "--measured", tuple(raw.names)))
+        found.unknown.append(
+            Unknown("output", f"which column is measured ({_shown(raw)})", "--measured", tuple(raw.names))
+        )
         return None
     order = {u.ANGLE: 0, u.POSITION: 1, u.SPEED: 2}
     best = max(h.score(roles.OUTPUT) for h in likely)
@@ -206,9 +210,7 @@ def _unit_text(head: Head) -> str:
     return head.unit.base if head.unit else ""
 
 
-def _command(
-    raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Found, output: Head | None
-) -> Head | None:
+def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Found, output: Head | None) -> Head | None:
     if answers.command is not None:
         found.used.add(answers.command)
         return next((h for h in heads if h.column.name == answers.command), None)
@@ -217,7 +219,9 @@ def _command(
     if not likely:
         likely = [h for h in heads if h.role == roles.TORQUE and h.column.name not in taken]
     if not likely:
-        found.unknown.append(Unknown("command", f"which column is the command ({_shown(raw)})", "--command", tuple(raw.names)))
+        found.unknown.append(
+            Unknown("command", f"which column is the command ({_shown(raw)})", "--command", tuple(raw.names))
+        )
         return None
     best = max(max(h.score(roles.COMMAND), h.score(roles.TORQUE)) for h in likely)
     first = [h for h in likely if max(h.score(roles.COMMAND), h.score(roles.TORQUE)) == best]
@@ -246,7 +250,9 @@ def _sensor(raw: RawTable, output: Head, answers: Answers, found: _Found) -> Tab
     if unit in ("counts", "counts/s"):
         turn = answers.counts_per_rev or _counts_per_rev(raw, output)
         if not turn and (not wrap or wrap in COUNTER_TURNS):
-            found.unknown.append(Unknown("counts_per_rev", f"how many counts of {column.name!r} make a turn", "--counts-per-rev"))
+            found.unknown.append(
+                Unknown("counts_per_rev", f"how many counts of {column.name!r} make a turn", "--counts-per-rev")
+            )
             return None
         if not turn:
             found.assumed.append(f"{column.name!r} begins anew at {wrap:g} counts, which is taken as a turn")
@@ -269,9 +275,7 @@ def _sensor(raw: RawTable, output: Head, answers: Answers, found: _Found) -> Tab
     )  # fmt: skip
 
 
-def _output_unit(
-    output: Head, answers: Answers, values: FloatArray, whole: bool, found: _Found
-) -> tuple[str, float]:
+def _output_unit(output: Head, answers: Answers, values: FloatArray, whole: bool, found: _Found) -> tuple[str, float]:
     """The map's unit of the output and the factor to it, "" where it is not known."""
     if answers.unit is not None:
         said = unit_of(answers.unit)
@@ -343,7 +347,9 @@ def _signs(raw: RawTable, command: Head, output: Head, sensor: TableMap, scale: 
     if sensor.quantity == "speed" and speed.min() >= -0.5 * max(sensor.quantum, 1e-9):
         against = float(np.mean((duty < -1.0) & (speed > 0.1 * fast)))
         if against > UNSIGNED_SHARE:
-            found.assumed.append(f"{output.column.name!r} has no sign: it takes that of the command, turned at standstill")
+            found.assumed.append(
+                f"{output.column.name!r} has no sign: it takes that of the command, turned at standstill"
+            )
             return False
     strong = duty > 0.5 * max(float(duty.max()), 1e-12)
     if duty.min() >= 0.0 and strong.any() and float(np.mean(speed[strong] < -0.2 * fast)) > BACKWARDS:

@@ -51,7 +51,9 @@ def _units() -> dict[str, Unit]:
         ("rev revs turn turns umdr umdrehung umdrehungen revolution revolutions", ANGLE, "rev", 1.0),
         (
             "count counts cnt cnts tick ticks inc incs inkremente increments pulse pulses imp impulse impulses lsb cts",
-            ANGLE, "counts", 1.0,
+            ANGLE,
+            "counts",
+            1.0,
         ),  # fmt: skip
         ("deg/s degree/s degrees/s °/s º/s dps grad/s deg/sec deg_s", SPEED, "deg/s", 1.0),
         ("rad/s rad/sec rad*s^-1 rads^-1 rad_s radians/s 1/s", SPEED, "rad/s", 1.0),
@@ -109,7 +111,11 @@ def name_and_unit(head: str) -> tuple[str, str]:
         return found[1].strip() or head, inside if is_unit(inside) or not is_unit(first) else first
     for pattern in (r"^(.*\S)\s+in\s+(\S+)$", r"^(.*\S)\s+/\s+(\S+)$", r"^(.*\S),\s*(\S+)$", r"^(.*\S)\s+(\S+)$"):
         parts = re.match(pattern, head)
-        if parts and is_unit(parts[2]) and (len(parts[2]) > 1 or _ONE_LETTER.get(parts[2].lower(), parts[2]) == parts[2]):
+        if (
+            parts
+            and is_unit(parts[2])
+            and (len(parts[2]) > 1 or _ONE_LETTER.get(parts[2].lower(), parts[2]) == parts[2])
+        ):
             return parts[1], parts[2]
     slash = re.match(r"^([^/]+)/(\S+)$", head)
     if slash and is_unit(slash[2]) and not is_unit(head):

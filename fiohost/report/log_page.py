@@ -106,7 +106,9 @@ def _panels(series: Sequence[LogSeries]) -> list[dict[str, Any]]:
     return [_panel(label, curves, place) for place, (label, curves) in enumerate(wanted.items())]
 
 
-def _panel(label: str, curves: Sequence[tuple[LogSeries, str, Array, str, dict[str, Any]]], place: int) -> dict[str, Any]:
+def _panel(
+    label: str, curves: Sequence[tuple[LogSeries, str, Array, str, dict[str, Any]]], place: int
+) -> dict[str, Any]:
     """One panel: curves of different logs on one axis of time, null where a log has no row."""
     kept = [_thinned(one.time_s, values) for one, _, values, _, _ in curves]
     times = np.unique(np.concatenate([t for t, _ in kept]))

@@ -80,14 +80,18 @@ def plot_spectrum(series: Sequence[LogSeries], title: str) -> Figure:
     rows = figure.subplots(3 if simulated else 2, 1, sharex=True)
     for place, one in enumerate(series):
         colour = _colour(place, len(series))
-        speed, unit = (one.output, one.unit) if one.speed is None else (one.speed, one.speed_unit)
-        wanted = [(rows[0], speed, f"speed\n({unit} per √Hz)"), (rows[1], one.duty_pct, "duty\n(% per √Hz)")]
+        unit = one.unit if one.speed is None else one.speed_unit
+        wanted = [
+            (rows[0], one.output, f"speed\n({unit} per √Hz)", one.speed is not None),
+            (rows[1], one.duty_pct, "duty\n(% per √Hz)", False),
+        ]
         if one.simulated is not None:
-            wanted.append((rows[2], one.output - one.simulated, f"measured - simulated\n({one.unit} per √Hz)"))
-        for axes, values, label in wanted:
-            frequencies, density = spectrum_of(one, values)
+            wanted.append((rows[2], one.output - one.simulated, f"measured - simulated\n({one.unit} per √Hz)", False))
+        for axes, values, label, slope in wanted:
+            frequencies, density = spectrum_of(one, values, slope)
             if density.max() > 0.0:
-                axes.loglog(frequencies, np.maximum(density, 1e-6 * density.max()), color=colour, linewidth=1.0, label=one.name)
+                shown = np.maximum(density, 1e-6 * density.max())
+                axes.loglog(frequencies, shown, color=colour, linewidth=1.0, label=one.name)
             axes.set_ylabel(label)
     rows[0].set_title(title)
     rows[-1].set_xlabel("frequency (Hz)")

@@ -12,7 +12,7 @@ from fiohost.bench.head import OUTPUT_UNITS
 from fiohost.bench.log import Log
 from fiohost.report.series import Array
 
-SMOOTHED_S = 0.03  # over which a speed is taken from an angle, at least 5 ticks
+SMOOTHED_S = 0.05  # over which a speed is taken from an angle, at least 5 ticks
 KNOWN = ("time_s", "duty_pct", "c3", "c4", "pos", "direction", "host_time_s", "ref_deg", *OUTPUT_UNITS)
 QUANTITIES = {"deg": "angle", "deg/s": "speed", "m": "position", "m/s": "speed"}
 SEGMENTS = 8  # over which a spectrum is averaged
@@ -70,10 +70,14 @@ def speed_of(time_s: Array, output: Array, sample_time_s: float) -> Array:
     return np.interp(time_s, even, slope)
 
 
-def spectrum_of(series: LogSeries, values: Array) -> tuple[Array, Array]:
-    """Frequencies (Hz) and amplitude density (unit per root Hz) of values with their mean taken out (Welch's method)."""
+def spectrum_of(series: LogSeries, values: Array, slope: bool = False) -> tuple[Array, Array]:
+    """Frequencies (Hz) and amplitude density (unit per root Hz) of values without their trend (Welch's method).
+
+    *slope*: of their slope, which is 2 pi f times as large.
+    """
     even = np.arange(series.time_s[0], series.time_s[-1], series.sample_time_s)
     sampled = np.interp(even, series.time_s, values)
     length = max(8, min(len(even), 2 ** int(np.log2(max(8, 2 * len(even) // (SEGMENTS + 1))))))
     frequencies, power = welch(sampled, fs=1.0 / series.sample_time_s, nperseg=length, detrend="linear")
-    return frequencies[1:], np.sqrt(power[1:])
+    density = np.sqrt(power[1:])
+    return frequencies[1:], 2.0 * np.pi * frequencies[1:] * density if slope else density
