@@ -1,3 +1,4 @@
+# ruff: noqa: E501 (a table a line)
 """Made-up tables as people's loggers write them: one motor, many files. Each is made when asked for."""
 
 from __future__ import annotations

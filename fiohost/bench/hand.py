@@ -1,8 +1,8 @@
 """Driving by statements: ``bench.duty = 40; bench.sleep(1); bench.angle_deg``.
 
 The tick loop runs in a thread of its own, with every guard of a run. A board in lock step waits for its host, so there
-time passes in ``sleep`` alone; a real board's time goes on, and its duty is taken back when the program that set it does
-not come again for HOLD_S. Whatever ends the session brakes.
+time passes in ``sleep`` alone; a real board's time goes on, and its duty is taken back when the program that set it
+does not come again for HOLD_S. Whatever ends the session brakes.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ Source = str | Path | Log
 
 
 def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
-    """Read logs; foreign tables by a map, or by the one that is found for them. Raises LogError, ConfigError, DataError."""
+    """Read logs; foreign tables by a map, or by the one that is found for them. Raises FiohostError."""
     from fiohost.importing.automatic import read_any
 
     if table_map is None:

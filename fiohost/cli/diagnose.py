@@ -83,6 +83,7 @@ def diagnose(
 
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed) or 0
+    train, held_out = expanded(logs, "LOG"), expanded(holdout, "--holdout")
     if save_model is not None:
         claim(save_model)
     if report is not None:
@@ -99,7 +100,7 @@ def diagnose(
 
     with progress() as doing:
         found = run_diagnosis(
-            expanded(logs, "LOG"), expanded(holdout, "--holdout"), declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
+            train, held_out, declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
         )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)

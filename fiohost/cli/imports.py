@@ -50,8 +50,8 @@ def import_(
     """Make a log of any table of numbers: CSV and other text, MATLAB (.mat), HDF5, Parquet.
 
     Without --map the table is looked at: delimiter, decimal mark, encoding, title rows, names, units, dates, which
-    column is time, command and measured, full scale, resolution, turns. What was found is printed and drawn, and the map
-    that was used is written beside the log. In a terminal you are asked about what cannot be known; elsewhere --yes
+    column is time, command and measured, full scale, resolution, turns. What was found is printed and drawn, and the
+    map that was used is written beside the log. In a terminal you are asked about what cannot be known; elsewhere --yes
     takes what was found, and what stays unknown is refused in one sentence.
 
     \b
@@ -169,9 +169,19 @@ def _question(found: Understanding, answers: Answers) -> Answers:
             "sample_time_s": "Seconds between rows",
         }
         click.echo(f"unknown: {one.what}", err=True)
-        return replace(answers, **{one.key: click.prompt(words[one.key], type=click.FloatRange(min=1e-9), err=True)})
+        told: float = click.prompt(words[one.key], type=click.FloatRange(min=1e-9), err=True)
+        if one.key == "full_scale":
+            return replace(answers, full_scale=told)
+        return (
+            replace(answers, counts_per_rev=told)
+            if one.key == "counts_per_rev"
+            else replace(answers, sample_time_s=told)
+        )
     click.echo(f"unknown: {one.what}", err=True)
-    return replace(answers, **{one.key: click.prompt(one.key.capitalize(), err=True)})
+    said: str = click.prompt({"output": "Measured column", "command": "Command"}.get(one.key, "Unit"), err=True)
+    if one.key == "unit":
+        return replace(answers, unit=said)
+    return replace(answers, command=said) if one.key == "command" else replace(answers, output=said)
 
 
 def _free(table: Path) -> Path:

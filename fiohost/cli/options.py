@@ -106,7 +106,7 @@ def profile_option(command: Command) -> Command:
 
 
 def expanded(paths: Sequence[Path], what: str) -> list[Path]:
-    """Files for files, folders (all tables and logs in them) and patterns such as ``run_*.csv``, in order of their names.
+    """Files for files, folders (all tables and logs in them) and patterns such as ``run_*.csv``, in order of names.
 
     Raises ConfigError where a folder or pattern holds none.
     """

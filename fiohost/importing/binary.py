@@ -37,14 +37,14 @@ def read_mat(path: Path) -> RawTable:
     try:
         import io
 
-        content = loadmat(io.BytesIO(data), simplify_cells=True)
+        content = loadmat(io.BytesIO(data), simplify_cells=True)  # type: ignore[arg-type] (files are taken too)
     except Exception as exc:  # of whatever kind: such files are made by anybody
         raise LogError(f"{path} cannot be read as a MATLAB file: {_short(exc)}") from exc
     return _table(path, data, dict(_leaves(content, "")), "MATLAB v5 to v7")
 
 
 def read_hdf5(path: Path) -> RawTable:
-    """An HDF5 file, which MATLAB v7.3 files are too: data sets of one length. Raises LogError; ConfigError without h5py."""
+    """An HDF5 file, as MATLAB v7.3 files are: data sets of one length. Raises LogError; ConfigError without h5py."""
     try:
         import h5py
     except ImportError:

@@ -91,8 +91,8 @@ def _coarse(name: str, values: FloatArray, scale: float, path: Path) -> Clock:
     counts = np.diff(changes)
     if len(counts) < 2 or float(np.std(counts)) > EVEN * float(np.mean(counts)):
         raise DataError(
-            f"{path}: the time {name!r} is the same in several rows, and not in equally many: nobody can tell when they "
-            "were measured; write it with more digits"
+            f"{path}: the time {name!r} is the same in several rows, and not in equally many: nobody can tell when "
+            "they were measured; write it with more digits"
         )
     steps = np.diff(values[[changes[0], changes[-1]]])[0] * scale
     tick_s = float(f"{steps / (changes[-1] - changes[0]):.4g}")
@@ -100,7 +100,7 @@ def _coarse(name: str, values: FloatArray, scale: float, path: Path) -> Clock:
         None,
         sample_time_s=tick_s,
         line=f"time: {name!r} is too coarse for single rows",
-        assumed=f"rows are evenly spaced, {tick_s:g} s apart, since {np.mean(counts):.3g} of them share a time of {name!r}",
+        assumed=f"rows are evenly spaced, {tick_s:g} s apart: {np.mean(counts):.3g} of them share a time of {name!r}",
     )
 
 

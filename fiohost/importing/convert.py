@@ -94,10 +94,7 @@ def _convert(raw: RawTable, table_map: TableMap, understood: Sequence[str]) -> t
         f"# {key}: {_one_line(value)}\n" for key, value in _metadata(raw, table_map, sample_time_s, understood) if value
     ]
     head.append(",".join(names) + "\n")
-    if beside:
-        extra = ["".join(f",{value:.9g}" for value in row) for row in zip(*beside, strict=True)]
-    else:
-        extra = [""] * rows
+    extra = ["".join(f",{value:.9g}" for value in row) for row in zip(*beside, strict=True)] if beside else [""] * rows
     table = zip(time_s.tolist(), duty_pct.tolist(), output.tolist(), extra, strict=True)
     return "".join([*head, *(f"{t:.15g},{u:.12g},{y:.12g}{more}\n" for t, u, y, more in table)]), tuple(notes)
 

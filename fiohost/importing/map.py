@@ -1,4 +1,4 @@
-"""The map of a foreign table, schema ``fiohost.map/1``: which column is time, command and output, and in which units."""
+"""The map of a foreign table, schema ``fiohost.map/1``: which column is time, command and output, and their units."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ MAX_CELLS = 30_000_000
 class RawColumn:
     """One column, shape (rows,): numbers, NaN where a cell is missing; of TIME in seconds, of TEXT all NaN.
 
-    ``unit`` is the text of the unit as it stands in the table, "" where there is none. ``bad`` is the first cell that is
-    neither a number nor missing, and its line.
+    ``unit`` is the text of the unit as it stands in the table, "" where there is none. ``bad`` is the first cell that
+    is neither a number nor missing, and its line.
     """
 
     name: str

@@ -13,15 +13,12 @@ from fiohost.importing.text import read_text_table
 HDF5, PARQUET, MATLAB, ZIP, GZIP = b"\x89HDF\r\n\x1a\n", b"PAR1", b"MATLAB 5.0 MAT-file", b"PK\x03\x04", b"\x1f\x8b"
 MATLAB_73 = b"MATLAB 7.3 MAT-file"
 OLD_OFFICE = b"\xd0\xcf\x11\xe0"
-MATLAB_HEAD = 512  # bytes before the HDF5 of a MATLAB 7.3 file
-# what stands before the columns of measured data in files of pandas and of LabVIEW
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc", ".lvm", ".mat", ".h5", ".hdf5", ".hdf", ".parquet", ".pq")
 
 
 def read_raw(path: Path, wanted: Sequence[str] = ()) -> RawTable:
-    """Read the table at *path*; of the columns of a text table, where *wanted* are named, only those. Raises LogError."""
+    """Read the table at *path*; of a text table, where columns are *wanted*, only those. Raises LogError."""
     head = first_bytes(path)
-    if head.startswith((MATLAB, MATLAB_73)) or HDF5 in head or head.startswith(PARQUET):
+    if head.startswith((MATLAB, MATLAB_73, PARQUET)) or HDF5 in head:
         from fiohost.importing import binary
 
         if head.startswith(MATLAB):

@@ -15,47 +15,51 @@ TIME, COMMAND, OUTPUT, REFERENCE, CURRENT, SUPPLY, TEMPERATURE, TORQUE, INDEX, O
     "time", "command", "output", "reference", "current", "supply", "temperature", "torque", "index", "other"
 )  # fmt: skip
 
+
+def _sure(points: float, *lines: str) -> dict[str, float]:
+    """Each of the words of these lines, with how sure it makes."""
+    return {word: points for line in lines for word in line.split()}
+
+
 # Words of a head, English and German; the number says how sure a word makes.
 WORDS: dict[str, dict[str, float]] = {
-    TIME: dict.fromkeys(
-        "time zeit timestamp datetime uhrzeit zeitstempel zeitpunkt millis micros elapsed tempo temps seconds".split(),
-        3.0,
+    TIME: _sure(
+        3.0, "time zeit timestamp datetime uhrzeit zeitstempel zeitpunkt millis micros elapsed", "tempo temps seconds"
     )
-    | {"t": 2.5, "x_value": 2.5, "date": 1.5, "datum": 1.5, "clock": 1.5, "ts": 2.5, "tick_time": 2.0},
-    COMMAND: dict.fromkeys(
-        "duty pwm command cmd stellgroesse stellwert stellgrad tastgrad tastverhaeltnis throttle dutycycle".split(), 3.0
+    | _sure(2.5, "t x_value ts")
+    | _sure(1.5, "date datum clock"),
+    COMMAND: _sure(
+        3.0, "duty pwm command cmd stellgroesse stellwert stellgrad tastgrad tastverhaeltnis throttle dutycycle"
     )
-    | dict.fromkeys("u input control actuation effort drive excitation eingang ansteuerung aussteuerung".split(), 2.5)
-    | dict.fromkeys("voltage volt volts spannung power leistung uq vm va ua vmotor umotor armature motor".split(), 2.0)
-    | {"v": 1.5, "output_pct": 2.0},
-    OUTPUT: dict.fromkeys(
-        "angle position pos theta phi winkel encoder enc drehwinkel lage position counter zaehler"
-        " speed velocity vel omega rpm drehzahl geschwindigkeit winkelgeschwindigkeit".split(),
+    | _sure(2.5, "u input control actuation effort drive excitation eingang ansteuerung aussteuerung")
+    | _sure(2.0, "voltage volt volts spannung power leistung uq vm va ua vmotor umotor armature motor")
+    | _sure(1.5, "v"),
+    OUTPUT: _sure(
         2.5,
+        "angle position pos theta phi winkel encoder enc drehwinkel lage counter zaehler",
+        "speed velocity vel omega rpm drehzahl geschwindigkeit winkelgeschwindigkeit",
     )
-    | dict.fromkeys("y count counts ticks w n x q angular output rotation ausgang tacho".split(), 1.5),
-    REFERENCE: dict.fromkeys(
-        "ref reference setpoint soll sollwert target desired sollwinkel solldrehzahl fuehrungsgroesse wanted r".split(),
+    | _sure(1.5, "y count counts ticks w n x q angular output rotation ausgang tacho"),
+    REFERENCE: _sure(
         3.0,
+        "ref reference setpoint soll sollwert target desired sollwinkel solldrehzahl fuehrungsgroesse wanted r",
     ),
-    CURRENT: dict.fromkeys("current strom amps amp i iq motorcurrent motorstrom ankerstrom i_a ia".split(), 2.5),
-    SUPPLY: dict.fromkeys(
-        "supply vbat battery vsupply vbus versorgung batterie vin vcc vdd akku versorgungsspannung".split(), 3.5
-    ),
-    TEMPERATURE: dict.fromkeys("temp temperature temperatur".split(), 2.5),
-    TORQUE: dict.fromkeys("torque drehmoment moment load tau".split(), 2.0),
-    INDEX: dict.fromkeys("index sample samples nr no row idx k zeile lfd step seq id unnamed".split(), 2.0),
-    OTHER: dict.fromkeys(
-        "error err fehler sim simulated model est estimate estimated predicted filtered raw status state flag mode"
-        " comment bemerkung kommentar note dir direction richtung vel_ref c3 c4 acceleration accel".split(),
+    CURRENT: _sure(2.5, "current strom amps amp i iq motorcurrent motorstrom ankerstrom ia"),
+    SUPPLY: _sure(3.5, "supply vbat battery vsupply vbus versorgung batterie vin vcc vdd akku versorgungsspannung"),
+    TEMPERATURE: _sure(2.5, "temp temperature temperatur"),
+    TORQUE: _sure(2.0, "torque drehmoment moment load tau"),
+    INDEX: _sure(2.0, "index sample samples nr no row idx k zeile lfd step seq id unnamed"),
+    OTHER: _sure(
         3.0,
+        "error err fehler sim simulated model est estimate estimated predicted filtered raw status state flag mode",
+        "comment bemerkung kommentar note dir direction richtung c3 c4 acceleration accel",
     ),
 }
 SPEED_WORDS = frozenset(
-    "speed velocity vel omega rpm drehzahl geschwindigkeit winkelgeschwindigkeit w n angular".split()
+    _sure(1.0, "speed velocity vel omega rpm drehzahl geschwindigkeit winkelgeschwindigkeit w n angular")
 )
-COUNT_WORDS = frozenset("encoder enc counts count ticks counter zaehler".split())
-MEASURED = frozenset("ist measured actual meas messwert gemessen istwert act feedback".split())
+COUNT_WORDS = frozenset(_sure(1.0, "encoder enc counts count ticks counter zaehler"))
+MEASURED = frozenset(_sure(1.0, "ist measured actual meas messwert gemessen istwert act feedback"))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from fiohost.importing.roles import Head
 USUAL_SUPPLIES_V = (3.3, 5.0, 6.0, 7.2, 9.0, 12.0, 15.0, 18.0, 24.0, 36.0, 48.0, 60.0, 80.0, 110.0, 230.0, 400.0)
 PWM_STEPS = (255.0, 1023.0, 4095.0, 65_535.0)
 DUTY_WORDS = frozenset(
-    "duty pwm dutycycle tastgrad tastverhaeltnis power leistung throttle stellgrad aussteuerung command cmd".split()
+    {"duty", "pwm", "dutycycle", "tastgrad", "tastverhaeltnis", "power", "leistung", "throttle", "stellgrad"}
+    | {"aussteuerung", "command", "cmd"}
 )
 ROUNDING = 1.0001
 FULL_SCALE = (

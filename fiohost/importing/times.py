@@ -18,7 +18,7 @@ LONG_AGO_S = 1e5  # times that begin later count from something else than the ru
 
 def times_s(values: FloatArray, table_map: TableMap, path: Path) -> tuple[FloatArray, list[str]]:
     """Seconds of each row, never running backwards, and notes. Raises DataError."""
-    notes = []
+    notes: list[str] = []
     if table_map.time_wrap:
         steps = np.diff(values, prepend=values[:1])
         values = values + table_map.time_wrap * np.cumsum(steps < -0.5 * table_map.time_wrap)

@@ -29,7 +29,7 @@ ANGLE, SPEED, POSITION = "angle", "speed", "position"
 
 @dataclass(frozen=True)
 class Unit:
-    """What a unit measures; ``base`` is the map's name of it (or s, V, %, A, N m, deg C), ``scale`` turns it into that."""
+    """What a unit measures; ``base`` is the map's name of it (or s, V, %, A, N m, deg C), ``scale`` makes it that."""
 
     measures: str
     base: str
@@ -54,7 +54,7 @@ def _units() -> dict[str, Unit]:
             ANGLE,
             "counts",
             1.0,
-        ),  # fmt: skip
+        ),
         ("deg/s degree/s degrees/s °/s º/s dps grad/s deg/sec deg_s", SPEED, "deg/s", 1.0),
         ("rad/s rad/sec rad*s^-1 rads^-1 rad_s radians/s 1/s", SPEED, "rad/s", 1.0),
         ("rpm 1/min u/min min^-1 rev/min r/min umin min-1 u/min. upm umdr/min rev_min", SPEED, "rpm", 1.0),
@@ -134,4 +134,4 @@ def name_and_unit(head: str) -> tuple[str, str]:
 
 def _suffix_holds(suffix: str) -> bool:
     wanted = _ONE_LETTER.get(suffix.lower())
-    return wanted is None and len(suffix) > 1 or suffix == wanted
+    return (wanted is None and len(suffix) > 1) or suffix == wanted

@@ -32,7 +32,8 @@ p {{ margin: .2rem 0 .8rem; color: #555; }}
 button {{ font: inherit; padding: .2rem .7rem; }}
 </style></head><body>
 <h1>{title}</h1>
-<p>Drag to zoom in time, double click or <button id="all">show all</button>. Click a name below a panel to hide its curve.</p>
+<p>Drag to zoom in time, double click or <button id="all">show all</button>.
+Click a name below a panel to hide its curve.</p>
 <div id="panels"></div>
 <script>{script}</script>
 <script>

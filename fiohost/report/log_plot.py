@@ -33,7 +33,7 @@ def plot_logs(series: Sequence[LogSeries], title: str, lines: Sequence[str] = ()
     shown = list(lines)[:MOST_LINES]
     figure = canvas(9.5, 0.9 + 1.05 * sum(heights) + LINE_IN * len(shown))
     room = (LINE_IN * len(shown) + 0.1) / figure.get_size_inches()[1] if shown else 0.0
-    figure.get_layout_engine().set(rect=(0, room, 1, 1 - room))
+    figure.set_layout_engine("constrained", rect=(0, room, 1, 1 - room))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     figure.suptitle(title, fontsize=12, fontweight="bold", x=0.01, ha="left")
     for panel, axes in zip(panels, grid, strict=True):

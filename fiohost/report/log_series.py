@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import savgol_filter, welch
+from scipy.signal import detrend, savgol_filter, welch
 
 from fiohost.bench.head import OUTPUT_UNITS
 from fiohost.bench.log import Log
@@ -76,8 +76,8 @@ def spectrum_of(series: LogSeries, values: Array, slope: bool = False) -> tuple[
     *slope*: of their slope, which is 2 pi f times as large.
     """
     even = np.arange(series.time_s[0], series.time_s[-1], series.sample_time_s)
-    sampled = np.interp(even, series.time_s, values)
+    sampled = detrend(np.interp(even, series.time_s, values))
     length = max(8, min(len(even), 2 ** int(np.log2(max(8, 2 * len(even) // (SEGMENTS + 1))))))
-    frequencies, power = welch(sampled, fs=1.0 / series.sample_time_s, nperseg=length, detrend="linear")
+    frequencies, power = welch(sampled, fs=1.0 / series.sample_time_s, nperseg=length)
     density = np.sqrt(power[1:])
     return frequencies[1:], 2.0 * np.pi * frequencies[1:] * density if slope else density
