@@ -37,7 +37,7 @@ def read_mat(path: Path) -> RawTable:
     try:
         import io
 
-        content = loadmat(io.BytesIO(data), simplify_cells=True)  # type: ignore[arg-type] (files are taken too)
+        content = loadmat(io.BytesIO(data), simplify_cells=True)  # type: ignore[arg-type]
     except Exception as exc:  # of whatever kind: such files are made by anybody
         raise LogError(f"{path} cannot be read as a MATLAB file: {_short(exc)}") from exc
     return _table(path, data, dict(_leaves(content, "")), "MATLAB v5 to v7")

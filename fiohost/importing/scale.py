@@ -20,8 +20,8 @@ DUTY_WORDS = frozenset(
 )
 ROUNDING = 1.0001
 FULL_SCALE = (
-    r"(?:full[ _]?scale|supply|versorgung\w*|v_?max|u_?max|vbat\w*|batter\w+|nominal voltage|nennspannung|max\w* voltage"
-    r"|bus voltage|of|von)[^\d\n-]{0,14}?(\d+(?:[.,]\d+)?)\s*V\b"
+    r"(?:full[ _]?scale|supply|versorgung\w*|v_?max|u_?max|vbat\w*|batter\w+|nominal voltage|nennspannung"
+    r"|max\w* voltage|bus voltage|of|von)[^\d\n-]{0,14}?(\d+(?:[.,]\d+)?)\s*V\b"
 )
 
 
@@ -39,7 +39,7 @@ class Scale:
 def scale_of(
     command: Head, columns: Sequence[RawColumn], supply: Head | None, titles: Sequence[str], told: float | None
 ) -> Scale | None:
-    """The scale of a command; None where nobody can know it. *columns* are its column in all tables that go together."""
+    """The scale of a command; None where nobody can know it. *columns* are its column in all tables of a bench."""
     values = np.concatenate([c.values[np.isfinite(c.values)] for c in columns])
     largest = float(np.abs(values).max()) if values.size else 0.0
     name = command.column.name
@@ -58,8 +58,8 @@ def scale_of(
         full = _rounded_up(largest * factor)
         return Scale(
             100.0 * factor / full, base, f"{base}, full scale {full:g} {base}",
-            assumed=f"full scale of {name!r} is {full:g} {base}, a round number above the largest, {largest * factor:g} "
-            "(--full-scale)",
+            assumed=f"full scale of {name!r} is {full:g} {base}, a round number above the largest, "
+            f"{largest * factor:g} (--full-scale)",
         )  # fmt: skip
     if not command.words & DUTY_WORDS:
         return None

@@ -63,7 +63,9 @@ for (const panel of panels) {{
   }};
   plots.push(new uPlot(options, panel.data, room));
 }}
-function all() {{ for (const p of plots) p.setScale("x", {{min: p.data[0][0], max: p.data[0][p.data[0].length - 1]}}); }}
+function all() {{
+  for (const p of plots) p.setScale("x", {{min: p.data[0][0], max: p.data[0][p.data[0].length - 1]}});
+}}
 document.getElementById("all").onclick = all;
 room.addEventListener("dblclick", all);
 window.addEventListener("resize", () => {{ for (const p of plots) p.setSize({{width: width(), height: p.height}}); }});
