@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fiohost.control.settings import ControlSettings
     from fiohost.errors import FiohostError
     from fiohost.estimation.logs import Identification
+    from fiohost.export.python_control import to_control
     from fiohost.motor.model import Model
 
 _WHERE = {
@@ -46,13 +47,14 @@ _WHERE = {
     "read_log": "fiohost.api",
     "read_logs": "fiohost.api",
     "simulate": "fiohost.api",
+    "to_control": "fiohost.export.python_control",
     "to_dataframe": "fiohost.api",
 }
 
 __all__ = [
     "Bench", "ControlSettings", "Design", "Diagnosis", "FiohostError", "Identification", "Log", "Model", "Simulation",
     "__version__", "connect", "design", "diagnose", "identify", "plot", "read_log", "read_logs", "simulate",
-    "to_dataframe",
+    "to_control", "to_dataframe",
 ]  # fmt: skip
 
 

@@ -21,8 +21,8 @@ FILES = {"bash": ".bashrc", "zsh": ".zshrc", "fish": ".config/fish/completions/f
 @click.argument("shell", required=False)
 @click.option("--install", is_flag=True, help="Put it where the shell reads it at its start.")
 def completion(shell: str | None, install: bool) -> None:
-    """Complete commands, options, experiments, targets, models, effects and maps with the tab key of SHELL: bash, zsh or
-    fish. Prints the script, or puts it in place; it holds from the next shell on.
+    """Complete commands, options, experiments, targets, models, effects and maps with the tab key of SHELL: bash, zsh
+    or fish. Prints the script, or puts it in place; it holds from the next shell on.
 
     \b
     Examples:

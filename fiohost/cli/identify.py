@@ -49,9 +49,9 @@ def identify(
 ) -> None:
     """Find K and tau of the motor, and zeta and omega_n of the loop with a P controller around it.
 
-    step: overshoot and peak time of every step of a square wave, averaged (Eq. 2.7 of the INC451 lab text). pem: a fit of the
-    loop's second-order form from reference to angle; from the duty, of K / (s (tau s + 1)) on the commands. The
-    intervals hold 95 %; what the form lacks, such as friction, is in none of them.
+    step: overshoot and peak time of every step of a square wave, averaged (Eq. 2.7 of the INC451 lab text).
+    pem: a fit of the loop's second-order form from reference to angle; from the duty, of K / (s (tau s + 1)) on the
+    commands. The intervals hold 95 %; what the form lacks, such as friction, is in none of them.
 
     \b
     Examples:

@@ -42,6 +42,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("fiohost.cli.hardware:doctor", "Look for what is not right between this computer and the motor."),
     "firmware": ("fiohost.cli.firmware:firmware", "Programs for boards: list them, find them, flash them."),
     "udev": ("fiohost.cli.hardware:udev", "Print the udev rules that let you reach the boards (Linux)."),
+    "export": ("fiohost.cli.export:export", "A model or controller for MATLAB, an FMU, or C for firmware."),
     "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
     "completion": ("fiohost.cli.completion:completion", "Set up the tab key of bash, zsh or fish."),
@@ -52,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 GROUPS: dict[str, tuple[str, ...]] = {
     "Bench": ("manual", "panel", "deadband", "run", "close-loop", "watch"),
     "Data": ("plot", "check", "import"),
-    "Models": ("identify", "diagnose", "simulate", "design", "effects", "fleet"),
+    "Models": ("identify", "diagnose", "simulate", "design", "export", "effects", "fleet"),
     "Labs": ("lab", "plants", "unseal"),
     "Boards": ("devices", "doctor", "sniff", "firmware", "udev"),
     "This program": ("completion",),
