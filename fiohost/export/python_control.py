@@ -35,8 +35,8 @@ def controller_to_control(settings: ControlSettings, sample_time_s: float) -> St
     """A controller between its limits, discrete, with the inputs ``ref_deg`` and ``angle_deg`` and the output
     ``duty_pct``: without deadband compensation, threshold and limit.
 
-    Its states are what is differentiated, at the last tick; its filtered slope; the integral. It begins at zero, so that
-    a first reading other than zero gives a kick. Raises ConfigError.
+    Its states are what is differentiated, at the last tick; its filtered slope; the integral. It begins at zero, so
+    that a first reading other than zero gives a kick. Raises ConfigError.
     """
     control = _library()
     settings.law(sample_time_s)  # refuses what is none
