@@ -18,7 +18,7 @@ def is_log(path: Path) -> bool:
     """Whether a file begins like a log of fiohost (or like nothing, so that its reader says what is wrong). Raises
     LogError.
     """
-    head = first_bytes(path)
+    head = first_bytes(path, "the log")
     if not head.strip(b"\0 \r\n\t"):
         return True
     text = head.decode("utf-8-sig", errors="replace")

@@ -36,9 +36,9 @@ def read_raw(path: Path, wanted: Sequence[str] = ()) -> RawTable:
     return read_text_table(path, wanted)
 
 
-def first_bytes(path: Path) -> bytes:
-    """The first kilobyte of a file. Raises LogError."""
-    with files.open_input(path, MAX_BYTES, "the table", LogError) as file:
+def first_bytes(path: Path, what: str = "the table") -> bytes:
+    """The first kilobyte of a file; *what* names its kind in messages. Raises LogError."""
+    with files.open_input(path, MAX_BYTES, what, LogError) as file:
         return file.read(1024)
 
 

@@ -118,7 +118,7 @@ def decoded(data: bytes, path: Path) -> tuple[str, str]:
                 text = data.decode(codec, errors="replace")
                 if "\n" in text or "\r" in text:
                     return text, "UTF-16"
-        raise LogError(f"{path} is not a text table: it holds zero bytes; export it as CSV first")
+        raise LogError(f"{path} is not a text table, and not a log: it holds zero bytes; export it as CSV first")
     try:
         return data.decode("utf-8"), "UTF-8"
     except UnicodeDecodeError as exc:
