@@ -22,8 +22,8 @@ from fiohost.estimation.logs import Identification
 from fiohost.estimation.logs import identify as identify_logs
 from fiohost.importing.automatic import read_any
 from fiohost.importing.convert import log_from_table
+from fiohost.importing.found import Answers
 from fiohost.importing.map import TableMap
-from fiohost.importing.understand import Answers
 from fiohost.motor.model import Model
 
 if TYPE_CHECKING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -188,3 +189,15 @@ def test_frames_of_pandas_go_in_and_come_out(found: Any) -> None:
     assert fiohost.identify(renamed, fitted="duty").value("tau_s") > 0.0
     with pytest.raises(DataError, match="unit of the output"):
         fiohost.read_log(renamed.rename(columns={"phi [deg]": "y"}), full_scale=12.0)
+
+
+def test_the_page_on_python_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pandas", reason="pandas IS NOT INSTALLED: the page on Python is not run")
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).resolve().parent.parent / "docs" / "python.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 4
+    for block in blocks:
+        exec(compile(block, str(page), "exec"), {})
+    for name in ("own_controller.png", "diagnosis.html", "proof.png", "diagnosis.json"):
+        assert (tmp_path / name).stat().st_size > 1000, name

@@ -136,10 +136,8 @@ def test_the_page_is_drawn_in_a_browser_without_a_network(log: Path, tmp_path: P
     text = page.read_text()
     assert not re.search(r"""(?:src|href)=["']?https?:""", text)
     assert len(text) < 4_000_000
-    done = subprocess.run(
-        [browser, *["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--dump-dom"], page.as_uri()],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--dump-dom"]
+    done = subprocess.run([browser, *options, page.as_uri()], capture_output=True, text=True, timeout=300)
     assert done.stdout.count("<canvas") == 4, done.stderr[-500:]
     for label in ("reference", "measured", "linear", "duty"):
         assert label in done.stdout

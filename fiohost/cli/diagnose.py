@@ -78,6 +78,7 @@ def diagnose(
         return
     from fiohost.circle.evidence import diagnose as run_diagnosis
     from fiohost.discover.result import to_json
+    from fiohost.importing.automatic import understood
     from fiohost.motor.model import Model
     from fiohost.report.tables import print_diagnosis
 
@@ -93,8 +94,8 @@ def diagnose(
         for role, group in (("training", train), ("held out", held)):
             for log in group:
                 say(f"{role:9} {log.path}: {len(log)} rows")
-                if log.metadata.get("understood"):
-                    say(f"          understood: {log.metadata['understood']}")
+                if understood(log):
+                    say(f"          understood: {understood(log)}")
                 for note in log.dropped:
                     say(f"          dropped: {note}")
 

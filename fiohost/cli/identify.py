@@ -67,13 +67,14 @@ def identify(
 
     from fiohost.circle.evidence import read_logs
     from fiohost.estimation.logs import identify as run
+    from fiohost.importing.automatic import understood
 
     read = [log.first(MOST_ROWS) for log in read_logs(expanded(logs, "LOG"), table_map)]
     found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
     for log in read:
-        if log.metadata.get("understood"):
-            out(f"note: {log.path}: {log.metadata['understood']}")
+        if understood(log):
+            out(f"note: {log.path}: {understood(log)}")
     dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
     for name, notes in dropped.items():
         out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")

@@ -16,7 +16,8 @@ from fiohost.files import claim, write_output
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
-    from fiohost.importing.understand import Answers, Understanding
+    from fiohost.importing.found import Answers
+    from fiohost.importing.understand import Understanding
 
 MOST_ROUNDS = 12  # of questions
 PICTURE = ".png"
@@ -68,7 +69,7 @@ def import_(
         else parse_number("--counts-per-rev", counts_per_rev, 1.0, 1e9),
         "sample_time_s": None if sample_time is None else parse_number("--sample-time", sample_time, 1e-7, 3600.0, "s"),
     }
-    from fiohost.importing.understand import Answers
+    from fiohost.importing.found import Answers
 
     answers = Answers(time=time, command=command, output=measured, unit=unit, **numbers)
     if map_name is not None:

@@ -9,9 +9,10 @@ from typing import Any
 from fiohost.bench.head import OUTPUT_UNITS
 from fiohost.bench.log import Log
 from fiohost.importing.convert import log_from_raw
+from fiohost.importing.found import Answers
 from fiohost.importing.raw import RawTable
 from fiohost.importing.read import first_bytes, read_raw
-from fiohost.importing.understand import Answers, understand
+from fiohost.importing.understand import understand
 
 
 def is_log(path: Path) -> bool:
@@ -51,6 +52,11 @@ def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None
         told = understand(one, answers, others)
         found.append(log_from_raw(one, told.certain, told.sentences))
     return found
+
+
+def understood(log: Log) -> str:
+    """What was found about a table that was read directly; "" of a log."""
+    return log.metadata.get("understood", "") if log.metadata.get("source") == log.path.name else ""
 
 
 def _open(source: Path | Log | Any) -> Log | RawTable:

@@ -6,7 +6,6 @@ unit of a nameless number, the voltage of full scale behind a ratio, the counts 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,46 +16,18 @@ from fiohost.errors import ConfigError, DataError
 from fiohost.importing import roles
 from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
-from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
+from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
 from fiohost.importing.raw import TEXT, FloatArray, RawTable
-from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head, head_of
+from fiohost.importing.roles import SPEED_WORDS, Head, head_of
 from fiohost.importing.scale import Scale, scale_of
-from fiohost.importing.units import MAP_UNITS, unit_of
+from fiohost.importing.sensor import sensor_of
+from fiohost.importing.units import MAP_UNITS
 from fiohost.settings import nearest
 
-COARSE = 2000.0  # levels of a speed over its range: fewer come from counted pulses, a mean since the row before
 BACKWARDS = 0.2  # share of strong forward command during which the motor turns backwards
 UNSIGNED_SHARE = 0.05  # of the rows with a negative command and a positive speed
 LIKELY = 2.5  # points by which an angle may be less sure than a speed and is still taken
-TURN_PATTERNS = (
-    r"(\d{2,7})\s*(?:counts?|cpr|ppr|ticks?|inc\w*|pulses?|impulse?|imp|striche|lines)?\.?\s*(?:/|per|pro|je)\s*(?:rev\w*|turn|umdr\w*|u\b)",
-    r"\b(?:cpr|ppr|counts[ _]per[ _](?:rev\w*|turn)|ticks[ _]per[ _]rev\w*|inkremente)\D{0,6}(\d{2,7})",
-    r"(\d{2,7})\s*(?:cpr|ppr)\b",
-)
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What a person says of a table, each the better of what would be found; None where nothing is said."""
-
-    time: str | None = None
-    command: str | None = None
-    output: str | None = None
-    unit: str | None = None  # of the output
-    full_scale: float | None = None  # of the command, in its unit
-    counts_per_rev: float | None = None
-    sample_time_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """Something that nobody can know from the table: which answer would say it, in words, and what may be answered."""
-
-    key: str
-    what: str
-    option: str
-    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,14 +57,6 @@ class Understanding:
         return [*self.lines, *(f"assumed: {text}" for text in self.assumed)]
 
 
-@dataclass
-class _Found:
-    lines: list[str] = field(default_factory=list)
-    assumed: list[str] = field(default_factory=list)
-    unknown: list[Unknown] = field(default_factory=list)
-    used: set[str] = field(default_factory=set)
-
-
 def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[RawTable] = ()) -> Understanding:
     """Find out what *raw* is. *others* are tables of the same columns, whose commands count for its full scale.
 
@@ -105,7 +68,7 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
         if name is not None and name not in raw.names:
             raise ConfigError(f"{raw.path} has no column {name!r}; {nearest(name, raw.names)}")
     heads = [head_of(column) for column in raw.columns if column.kind != TEXT]
-    found = _Found()
+    found = Found()
     chosen = [answers.command, answers.output]
     if not raw.named and None in chosen:
         shown = ", ".join(raw.names[:6])
@@ -119,7 +82,7 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     command = _command(raw, heads, answers, found, output)
     if output is None or command is None or clock is None:
         return _done(raw, None, found, answers)
-    sensor = _sensor(raw, output, answers, found)
+    sensor = sensor_of(raw, output, answers, found)
     scale = _scale(raw, command, heads, answers, found, others)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
@@ -139,12 +102,12 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     return _done(raw, None if found.unknown else table_map, found, answers)
 
 
-def _done(raw: RawTable, table_map: TableMap | None, found: _Found, answers: Answers) -> Understanding:
+def _done(raw: RawTable, table_map: TableMap | None, found: Found, answers: Answers) -> Understanding:
     form = f"{raw.rows} rows of {len(raw.columns)} columns; {raw.form}"
     return Understanding(raw, table_map, (form, *found.lines), tuple(found.assumed), tuple(found.unknown), answers)
 
 
-def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Found) -> Clock | None:
+def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found) -> Clock | None:
     if answers.sample_time_s is not None and answers.time is None:
         found.lines.append(f"time: no column, rows {answers.sample_time_s:g} s apart")
         return Clock(None, sample_time_s=answers.sample_time_s)
@@ -170,7 +133,7 @@ def _rises(values: FloatArray) -> bool:
     return bool(steps.size) and float(np.mean(steps >= 0)) > 0.98 and float(steps.sum()) > 0.0
 
 
-def _output(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Found) -> Head | None:
+def _output(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found) -> Head | None:
     if answers.output is not None:
         found.used.add(answers.output)
         return next((h for h in heads if h.column.name == answers.output), None)
@@ -210,7 +173,7 @@ def _unit_text(head: Head) -> str:
     return head.unit.base if head.unit else ""
 
 
-def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Found, output: Head | None) -> Head | None:
+def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found, output: Head | None) -> Head | None:
     if answers.command is not None:
         found.used.add(answers.command)
         return next((h for h in heads if h.column.name == answers.command), None)
@@ -233,89 +196,8 @@ def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: _Fou
     return first[0]
 
 
-def _sensor(raw: RawTable, output: Head, answers: Answers, found: _Found) -> TableMap | None:
-    """The part of the map that is the output's."""
-    column = output.column
-    values = column.values[np.isfinite(column.values)]
-    whole = bool(values.size) and bool(np.all(values == np.rint(values)))
-    unit, scale = _output_unit(output, answers, values, whole, found)
-    if not unit:
-        kinds = "rpm, deg/s, rad/s" if output.words & SPEED_WORDS else "deg, rad, counts; deg/s, rpm, rad/s; m"
-        what = f"the unit of the output {column.name!r} ({kinds})"
-        found.unknown.append(Unknown("unit", what, "--unit", tuple(MAP_UNITS)))
-        return None
-    quantum = quantum_of(column.values) * abs(scale)
-    wrap = wrap_of(column.values * scale, unit) if MAP_UNITS[unit][0] == "angle" else 0.0
-    turn = 0.0
-    if unit in ("counts", "counts/s"):
-        turn = answers.counts_per_rev or _counts_per_rev(raw, output)
-        if not turn and (not wrap or wrap in COUNTER_TURNS):
-            found.unknown.append(
-                Unknown("counts_per_rev", f"how many counts of {column.name!r} make a turn", "--counts-per-rev")
-            )
-            return None
-        if not turn:
-            found.assumed.append(f"{column.name!r} begins anew at {wrap:g} counts, which is taken as a turn")
-            turn = wrap
-        quantum = max(quantum, 1.0) if unit == "counts" and whole else quantum
-    quantity = MAP_UNITS[unit][0]
-    span = float(np.ptp(values) * abs(scale)) if values.size else 0.0
-    coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
-    average = "previous_interval" if coarse else "instant"
-    parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
-    parts += [f"resolution {quantum:.6g} {unit}"] if quantum else []
-    parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
-    parts += [f"{turn:g} counts a turn"] if turn else []
-    if coarse:
-        found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
-    found.lines.append(", ".join(parts))
-    return TableMap(
-        name="found", output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
-        wrap=wrap, counts_per_rev=turn if turn and turn != wrap else 0.0,
-    )  # fmt: skip
-
-
-def _output_unit(output: Head, answers: Answers, values: FloatArray, whole: bool, found: _Found) -> tuple[str, float]:
-    """The map's unit of the output and the factor to it, "" where it is not known."""
-    if answers.unit is not None:
-        said = unit_of(answers.unit)
-        base = answers.unit if answers.unit in MAP_UNITS else said.base if said else ""
-        if base not in MAP_UNITS:
-            raise ConfigError(f"unknown unit {answers.unit[:40]!r}; {nearest(answers.unit, MAP_UNITS)}")
-        return base, 1.0 if answers.unit in MAP_UNITS or said is None else said.scale
-    if output.unit is not None and output.unit.base in MAP_UNITS:
-        return output.unit.base, output.unit.scale
-    name = output.column.name
-    if output.words & {"drehzahl", "rpm"}:
-        found.assumed.append(f"{name!r} is in rpm")
-        return "rpm", 1.0
-    if output.words & SPEED_WORDS:
-        return "", 1.0
-    if whole and output.words & COUNT_WORDS:
-        found.assumed.append(f"{name!r}, whole numbers, are counts")
-        return "counts", 1.0
-    turn = turn_of(values)
-    if turn and not (whole and turn == "rad"):
-        found.assumed.append(f"{name!r} is in {turn}, since it begins anew after a turn of that size")
-        return turn, 1.0
-    if whole and wrap_of(values, "counts") and output.score(roles.OUTPUT) > 2.0:
-        found.assumed.append(f"{name!r}, whole numbers that begin anew, are counts")
-        return "counts", 1.0
-    return "", 1.0
-
-
-def _counts_per_rev(raw: RawTable, output: Head) -> float:
-    texts = [output.column.name, output.column.unit, *raw.titles]
-    for pattern in TURN_PATTERNS:
-        for text in texts:
-            told = re.search(pattern, text, re.IGNORECASE)
-            if told:
-                return float(told[1])
-    return 0.0
-
-
 def _scale(
-    raw: RawTable, command: Head, heads: Sequence[Head], answers: Answers, found: _Found, others: Sequence[RawTable]
+    raw: RawTable, command: Head, heads: Sequence[Head], answers: Answers, found: Found, others: Sequence[RawTable]
 ) -> Scale | None:
     columns = [raw.column(command.column.name)]
     columns += [other.column(command.column.name) for other in others if command.column.name in other.names]
@@ -332,7 +214,7 @@ def _scale(
     return scale
 
 
-def _signs(raw: RawTable, command: Head, output: Head, sensor: TableMap, scale: Scale, found: _Found) -> bool:
+def _signs(raw: RawTable, command: Head, output: Head, sensor: TableMap, scale: Scale, found: Found) -> bool:
     """Whether the output has a sign; a command without one on a motor that turned both ways is unknown."""
     duty = command.column.values * scale.scale
     values = output.column.values * sensor.output_scale
@@ -360,7 +242,7 @@ def _signs(raw: RawTable, command: Head, output: Head, sensor: TableMap, scale: 
     return True
 
 
-def _beside(heads: Sequence[Head], found: _Found) -> tuple[Beside, ...]:
+def _beside(heads: Sequence[Head], found: Found) -> tuple[Beside, ...]:
     """Measured columns that are kept beside the output."""
     kept: list[Beside] = []
     for role, measures, name in (
