@@ -33,7 +33,30 @@ def target_options(command: Command) -> Command:
         "--realtime-priority", is_flag=True, expose_value=False, callback=_priority, help=priority_help
     )(command)
     command = click.option("--seed", metavar="N", help=seed_help)(command)
-    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
+    command = click.option(
+        "--student", metavar="ID", is_eager=True, expose_value=False, callback=_student,
+        help="A sealed simulated board of that student's own, always the same one.",
+    )(command)  # fmt: skip
+    return click.option(
+        "--target", default="sim", show_default=True, metavar="T", help=target_help, callback=_target
+    )(command)
+
+
+def _student(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value is not None and not ctx.resilient_parsing:
+        from fiohost.bench.seal import student_seed
+
+        student_seed(value)  # refused here, before anything is opened
+        ctx.meta["student"] = value
+
+
+def _target(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
+    student = ctx.meta.get("student")
+    if student is None:
+        return value
+    if value not in ("sim", "sim:sealed"):
+        raise ConfigError(f"--student is a simulated board of its own: leave --target {value[:60]!r} away")
+    return f"sim:student:{student}"
 
 
 def wire_options(command: Command) -> Command:
