@@ -11,12 +11,14 @@ import click
 
 from fiohost.cli.options import PATH, parse_number
 from fiohost.cli.output import Output, json_option, output_for
+from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError, DataError
 from fiohost.files import claim, write_output
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
     from fiohost.importing.found import Answers
+    from fiohost.importing.raw import RawTable
     from fiohost.importing.understand import Understanding
 
 MOST_ROUNDS = 12  # of questions
@@ -85,7 +87,10 @@ def import_(
 
         log = Log.read(table)  # says what is wrong with it, if anything is
         raise DataError(f"{table} is a log of fiohost already, of {len(log)} rows: there is nothing to import")
-    found = _asked(say, read_raw(table), answers, yes)
+    with progress() as doing:
+        doing(f"reading {table.name}")
+        raw = read_raw(table)
+    found = _asked(say, raw, answers, yes)
     output = output or _free(table)
     map_to, picture = output.with_name(f"{output.stem}.map.toml"), plot_to or output.with_suffix(PICTURE)
     for path in (output, map_to, picture):
@@ -93,7 +98,9 @@ def import_(
     from fiohost.importing.convert import import_raw
 
     table_map = replace(found.certain, name=map_to.stem.removesuffix(".map"))
-    log = import_raw(found.table, table_map, output, found.sentences)
+    with progress() as doing:
+        doing(f"writing {output.name}")
+        log = import_raw(found.table, table_map, output, found.sentences)
     write_output(map_to, table_map.to_toml((f"found for {table.name} by fiohost import", *found.sentences)))
     _say_log(say, output, log)
     _draw(log, picture, f"{table.name}: what was understood", found.sentences)
@@ -124,12 +131,10 @@ def _with_map(say: Output, table: Path, map_name: str, output: Path | None, plot
     say.json(_result(log, output, table, map_name) | {"picture": plot_to})
 
 
-def _asked(say: Output, raw: object, answers: Answers, yes: bool) -> Understanding:
+def _asked(say: Output, raw: RawTable, answers: Answers, yes: bool) -> Understanding:
     """What the table is, asked for where somebody is there to answer. Raises DataError."""
-    from fiohost.importing.raw import RawTable
     from fiohost.importing.understand import understand
 
-    assert isinstance(raw, RawTable)
     asks = not yes and sys.stdin is not None and sys.stdin.isatty() and say.is_terminal
     found = understand(raw, answers)
     say(f"{raw.path}: {found.lines[0]}")

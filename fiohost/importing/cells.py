@@ -16,6 +16,7 @@ MISSING = frozenset(
 )
 MOSTLY = 0.9  # share of a column's cells that make it one of numbers, the rest being wrong cells
 DAY_S = 86_400.0
+LOOKED_AT = 200  # cells that tell whether a column is one of times
 
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _COMMA = re.compile(r"[+-]?(\d{1,3}(\.\d{3})+,\d+|\d+,\d*|,\d+)([eE][+-]?\d+)?$")
@@ -85,18 +86,13 @@ def is_value(cell: str) -> bool:
 
 def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Sequence[int]) -> RawColumn:
     """The column of these cells, *lines* being the numbers of their lines in the file."""
-    try:
-        fast = (
-            np.array(cells, dtype=np.str_).astype(np.float64) if not any("_" in cell for cell in cells[:50]) else None
-        )
-    except ValueError:
-        fast = None
-    if fast is not None and np.isfinite(fast).all():
+    fast = _fast(cells, comma)
+    if fast is not None:
         return RawColumn(name, fast, unit)
-    if next((cell for cell in cells if is_time(cell)), None) is not None:
+    if any(is_time(cell) for cell in cells[:LOOKED_AT]):
         times = times_of(cells)
         if times is not None:
-            return RawColumn(name, times, unit, TIME, missing=_first(cells, lines, lambda cell: is_missing(cell)))
+            return RawColumn(name, times, unit, TIME, missing=_first_missing(cells, lines))
     found = [number(cell, comma) for cell in cells]
     values = np.array([math.nan if value is None else value for value in found])
     wrong = [i for i, value in enumerate(found) if value is None and not is_missing(cells[i])]
@@ -112,11 +108,24 @@ def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Se
     return RawColumn(name, values, unit, NUMBER, bad, None if gone is None else (lines[gone], cells[gone]))
 
 
-def _first(cells: Sequence[str], lines: Sequence[int], holds: object) -> tuple[int, str] | None:
-    for line, cell in zip(lines, cells, strict=True):
-        if holds(cell):  # type: ignore[operator]
-            return line, cell
-    return None
+def _fast(cells: Sequence[str], comma: bool) -> FloatArray | None:
+    """All cells at once where they are plain finite numbers; None where one is not."""
+    joined = "\n".join(cells)
+    if "_" in joined or "n" in joined.lower().replace("\n", ""):  # 1_000, nan, inf
+        return None
+    if comma and "," in joined:
+        if "." in joined:
+            return None
+        joined = joined.replace(",", ".")
+    try:
+        values = np.array(joined.split("\n"), dtype=np.str_).astype(np.float64)
+    except ValueError:
+        return None
+    return values if values.size == len(cells) and np.isfinite(values).all() else None
+
+
+def _first_missing(cells: Sequence[str], lines: Sequence[int]) -> tuple[int, str] | None:
+    return next(((line, cell) for line, cell in zip(lines, cells, strict=True) if is_missing(cell)), None)
 
 
 def times_of(cells: Sequence[str]) -> FloatArray | None:
