@@ -141,3 +141,10 @@ def test_the_page_is_drawn_in_a_browser_without_a_network(log: Path, tmp_path: P
     assert done.stdout.count("<canvas") == 4, done.stderr[-500:]
     for label in ("reference", "measured", "linear", "duty"):
         assert label in done.stdout
+
+
+def test_the_way_of_a_user_needs_nothing_that_windows_lacks(tmp_path: Path) -> None:
+    script = Path(__file__).with_name("without_unix.py")
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "p.html").exists()
