@@ -74,6 +74,10 @@ def _write_worksheet(result: LabResult, out: Output, meta: dict[str, Any]) -> No
 
 def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
     """Print a result and save its pictures; gives what its JSON is, for a command that has several."""
+    if click.get_current_context().meta.get("worksheet"):
+        from fiohost.errors import ConfigError
+
+        raise ConfigError("a worksheet is of one experiment or problem: name it")
     out(f"{result.title}  [{result.target}]")
     for table in result.tables:
         _print_table(table, out)
