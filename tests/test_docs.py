@@ -12,12 +12,12 @@ import click
 import pytest
 
 from fiohost.bench.experiment import Experiment
-from fiohost.bench.imports import TableMap
 from fiohost.bench.profile import BenchProfile
 from fiohost.bench.signals import KINDS
 from fiohost.circle.readings import read_readings
 from fiohost.cli.main import COMMANDS, cli
 from fiohost.control.settings import ControlSettings
+from fiohost.importing.map import TableMap
 from fiohost.labs.readings import Readings
 from fiohost.motor.model import Model
 from fiohost.settings import config_names

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fiohost.bench.imports import TableMap, log_from_table
 from fiohost.circle.evidence import diagnose
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.estimation.record import ANGLE, MEAN_SPEED
+from fiohost.importing.convert import log_from_table
+from fiohost.importing.map import TableMap
 
 GEARMOTOR = "brake_pwm_gearmotor"
 GEAR_LIBRARY = ("coulomb_friction", "transport_delay", "armature_inductance", "duty_curve", "current_limit")

@@ -18,10 +18,13 @@ Source = str | Path | Log
 
 
 def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
-    """Read logs, or foreign tables by a map. Raises LogError, ConfigError."""
+    """Read logs; foreign tables by a map, or by the one that is found for them. Raises FiohostError."""
+    from fiohost.importing.automatic import read_any
+
     if table_map is None:
-        return [s if isinstance(s, Log) else Log.read(Path(s)) for s in sources]
-    from fiohost.bench.imports import TableMap, log_from_table
+        return read_any(sources)
+    from fiohost.importing.convert import log_from_table
+    from fiohost.importing.map import TableMap
 
     mapping = TableMap.load(table_map)
     return [s if isinstance(s, Log) else log_from_table(Path(s), mapping) for s in sources]

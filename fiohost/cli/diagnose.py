@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_seed
+from fiohost.cli.options import PATH, expanded, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     multiple=True,
     type=PATH,
     metavar="LOG",
-    help="A log that only reports; repeat it for more.",
+    help="A log that only reports, a folder of such logs, or a pattern in quotes; repeat it for more.",
 )
 @click.option(
     "--model",
@@ -74,7 +74,7 @@ def diagnose(
     \b
     Examples:
       fiohost diagnose run1.csv run2.csv --holdout run3.csv --model linear+coulomb_friction
-      fiohost diagnose power_*0.csv --holdout power_015.csv --map nxt_open_loop --report out
+      fiohost diagnose power_*0.csv --holdout 'power_*5.csv' --map nxt_open_loop --report out
       fiohost diagnose --readings responses.toml --model nxt.toml --report out
     """
     if not logs and not readings:
@@ -85,11 +85,13 @@ def diagnose(
         return
     from fiohost.circle.evidence import diagnose as run_diagnosis
     from fiohost.discover.result import to_json
+    from fiohost.importing.automatic import understood
     from fiohost.motor.model import Model
     from fiohost.report.tables import print_diagnosis
 
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed) or 0
+    train, held_out = expanded(logs, "LOG"), expanded(holdout, "--holdout")
     if save_model is not None:
         claim(save_model)
     if report is not None:
@@ -99,13 +101,15 @@ def diagnose(
         for role, group in (("training", train), ("held out", held)):
             for log in group:
                 say(f"{role:9} {log.path}: {len(log)} rows")
+                if understood(log):
+                    say(f"          understood: {understood(log)}")
                 for note in log.dropped:
                     say(f"          dropped: {note}")
 
     with progress() as doing:
         found = run_diagnosis(
-            logs,
-            holdout,
+            train,
+            held_out,
             declared,
             table_map=table_map,
             seed=drawn,

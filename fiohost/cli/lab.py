@@ -44,6 +44,7 @@ LABS: dict[str, tuple[str, str]] = {
     "identification": ("fiohost.cli.labs.identification:identification", "K and tau from a closed loop, two ways."),
     "design": ("fiohost.cli.labs.design:design", "PD control to a specification: simulated, then run."),
     "tables": ("fiohost.cli.labs.tables:tables", "Tables of readings: before, missing effect, after, left out."),
+    "grade": ("fiohost.cli.labs.grade:grade", "For teachers: models handed in against the students' sealed benches."),
     "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
 }
 

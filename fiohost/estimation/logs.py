@@ -102,7 +102,9 @@ def identify(
     the logs do not say it. Raises FiohostError.
     """
     given = [logs] if isinstance(logs, (Log, str, Path)) else list(logs)
-    read = [log if isinstance(log, Log) else Log.read(log) for log in given]
+    from fiohost.importing.automatic import read_any
+
+    read = read_any(given)
     if not read:
         raise DataError("there is no log to identify from")
     if method not in METHODS:
