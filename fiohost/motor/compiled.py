@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numba as _numba
+from numba.extending import register_jitable
 
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
@@ -97,12 +98,12 @@ def part(function: Callable[..., Any]) -> Any:
     It says so, as it would inherit ``forceinline`` from a caller: then the compiler hoists the divisions of rare
     branches out of the step's loops and does them at every step.
     """
-    return numba.njit(error_model="numpy", forceinline=False, _nrt=False)(function)
+    return register_jitable(error_model="numpy", forceinline=False, _nrt=False, no_cfunc_wrapper=True)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+    return register_jitable(error_model="numpy", forceinline=True, _nrt=False, no_cfunc_wrapper=True)(function)
 
 
 @inlined
