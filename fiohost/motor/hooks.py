@@ -51,7 +51,7 @@ def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str 
     return inlined(names[kind])
 
 
-def _any(*kinds: str) -> Any:
+def any_of(*kinds: str) -> Any:
     """Whether an effect with a hook of one of these kinds is in the model."""
     places = tuple(EFFECT_INDEX[item.name] for item in having(*kinds))
 
@@ -120,7 +120,7 @@ else:
 """.strip(),
     end="return None",
 )
-opens = _any("opens")
-remembers = _any("rate")
-winds = _any("resistance", "drop", "ceiling", "lag", "opens", "voltage")
-ends = _any("event")
+opens = any_of("opens")
+remembers = any_of("rate")
+winds = any_of("resistance", "drop", "ceiling", "lag", "opens", "voltage")
+ends = any_of("event")

@@ -12,14 +12,16 @@ Units: degrees (or the unit of a linear axis), seconds, percent of duty.
 from __future__ import annotations
 
 from math import inf
+from typing import Any
 
 import numpy as np
 
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, winds
+from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, voltage, winds
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
+from fiohost.motor.steady import glide, is_steady, torques
 from fiohost.motor.step import advance
 
 
@@ -39,6 +41,57 @@ def joint_of(p, on):  # type: ignore[no-untyped-def]
     return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
+def _over(steady: bool) -> Any:
+    """The loop over samples and commands, for a body under steady torques or for the whole motor."""
+
+    @inlined
+    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, p, on, states):  # type: ignore[no-untyped-def]
+        lag, late, n = winding_lag(p, on), delay((), p, on), act_times.shape[0]
+        now, has = times[first], (winds(on), remembers(on), ends(on))
+        change = next_moment(clock + now, p, on) - clock
+        j = np.searchsorted(act_times, now - late, side="right")
+        acts = act_times[j] + late if j < n else inf
+        duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
+        if steady:
+            volts, acting = voltage(duty, (duty, clock + now), p, on), torques(joint, clock + now, x, p, on)
+        for i in range(STATE_SIZE):
+            states[0, i] = x[i]
+        for k in range(first + 1, last):
+            while now < times[k]:
+                until = times[k]
+                changes = acts < until
+                if changes:
+                    until = max(acts, now)
+                if change < until:
+                    until, changes = change, False
+                if until > now:
+                    if steady:
+                        glide(x, volts, mode, until - now, joint[2], acting)
+                    else:
+                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
+                now = until
+                if now >= change:
+                    change = next_moment(clock + now, p, on) - clock
+                    change = change if change > now else inf
+                    if steady:
+                        volts, acting = voltage(duty, (duty, clock + now), p, on), torques(joint, clock + now, x, p, on)
+                if changes:
+                    j += 1
+                    acts = act_times[j] + late if j < n else inf
+                    if duties[j] != duties[j - 1] or modes[j] != mode:
+                        x[HELD] = 0.0
+                        duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
+                        if steady:
+                            volts = voltage(duty, (duty, clock + now), p, on)
+            for i in range(STATE_SIZE):
+                states[k - first, i] = x[i]
+
+    return run
+
+
+_run_steady, _run_whole = _over(True), _over(False)
+
+
 @compiled
 def simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states):  # type: ignore[no-untyped-def]
     """Simulate samples ``first..last`` of a record from ``state``; ``states[k - first]`` is the state at ``times[k]``.
@@ -47,33 +100,8 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     ``duties[j+1]`` begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact
     step.
     """
-    late = delay((), p, on)
-    joint, lag, has = joint_of(p, on), winding_lag(p, on), (winds(on), remembers(on), ends(on))
-    now = times[first]
-    change = next_moment(clock + now, p, on) - clock
-    j = np.searchsorted(act_times, now - late, side="right")
-    duty = command(duties[j], (p[PERIOD],), p, on)
-    for i in range(STATE_SIZE):
-        states[0, i] = state[i]
-    n = act_times.shape[0]
-    for k in range(first + 1, last):
-        while now < times[k]:
-            until = times[k]
-            changes = j < n and act_times[j] + late < until
-            if changes:
-                until = max(act_times[j] + late, now)
-            if change < until:
-                until, changes = change, False
-            if until > now:
-                advance(state, duty, modes[j], clock + now, until - now, substep, joint, lag, has, p, on)
-            now = until
-            if now >= change:
-                change = next_moment(clock + now, p, on) - clock
-                change = change if change > now else inf
-            if changes:
-                if duties[j + 1] != duties[j] or modes[j + 1] != modes[j]:
-                    state[HELD] = 0.0
-                j += 1
-                duty = command(duties[j], (p[PERIOD],), p, on)
-        for i in range(STATE_SIZE):
-            states[k - first, i] = state[i]
+    joint = joint_of(p, on)
+    if is_steady(joint, substep, on):
+        _run_steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
+    else:
+        _run_whole(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
