@@ -149,15 +149,11 @@ def flows(amps, along, against):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def winding(omega, amps, time, duty, mode, gain, lag, winds, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
+def winding(omega, amps, time, duty, mode, gain, lag, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
     """The current that drives, the voltage and resistance that it follows, the settled value at which it stays (inf:
     none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
     in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
     """
-    if not winds:
-        if mode == STANDBY:
-            return 0.0, 0.0, 1.0, inf, 0.0, 0
-        return duty - omega / gain, duty, 1.0, inf, 0.0, 0
     mean, special, along, against, ohms = circuit(omega, time, duty, mode, gain, x, shift, lag, p, on)
     if free < 0:
         free = 0
@@ -172,6 +168,36 @@ def winding(omega, amps, time, duty, mode, gain, lag, winds, free, way, settled,
     if way == 0.0:
         way = flows(amps, along - omega / gain, against - omega / gain)
     return amps, (along if way > 0.0 else against), ohms, (mean if special else inf), way, 1
+
+
+@inlined
+def linear_winding(omega, amps, time, duty, mode, gain, lag, ohmic, x, shift, p, on):  # type: ignore[no-untyped-def]
+    """As ``winding``, for a circuit that is linear throughout: no voltage is lost, no current limited, and one that lags
+    is never left open. The current that drives, the voltage and resistance that it follows, and whether it flows free.
+    """
+    if mode == STANDBY:
+        return 0.0, 0.0, 1.0, 0
+    volts, ohms = duty, 1.0
+    if ohmic:
+        volts = voltage(duty, (duty, time), p, on)
+        ohms = resistance(1.0, (duty,), x, shift, p, on)
+    if lag > 0.0:
+        return amps, volts, ohms, 1
+    emf = omega / gain
+    push = (volts - emf) / ohms
+    return push, push + emf, ohms, 0
+
+
+@inlined
+def is_linear(lag_s, modes, count, p, on):  # type: ignore[no-untyped-def]
+    """Whether a circuit is linear throughout the first ``count`` of some modes."""
+    if drop((), p, on) > 0.0 or ceiling((), p, on) < inf or opens(on):
+        return False
+    if lag_s > 0.0:
+        for k in range(count):
+            if modes[k] == STANDBY:
+                return False
+    return True
 
 
 @inlined

@@ -122,5 +122,5 @@ else:
 )
 opens = any_of("opens")
 remembers = any_of("rate")
-winds = any_of("resistance", "drop", "ceiling", "lag", "opens", "voltage")
+ohmic = any_of("resistance", "voltage")
 ends = any_of("event")

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.motor.electrics import winding_lag
+from fiohost.motor.electrics import is_linear, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, voltage, winds
+from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, ohmic, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.steady import glide, is_steady, torques
-from fiohost.motor.step import advance
+from fiohost.motor.step import advance_all, advance_linear
 
 
 @inlined
@@ -41,13 +41,13 @@ def joint_of(p, on):  # type: ignore[no-untyped-def]
     return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
-def _over(steady: bool) -> Any:
+def _over(steady: bool, linear: bool) -> Any:
     """The loop over samples and commands, for a body under steady torques or for the whole motor."""
 
     @inlined
     def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, p, on, states):  # type: ignore[no-untyped-def]
         lag, late, n = winding_lag(p, on), delay((), p, on), act_times.shape[0]
-        now, has = times[first], (winds(on), remembers(on), ends(on))
+        now, has = times[first], (ohmic(on), remembers(on), ends(on))
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
@@ -67,8 +67,10 @@ def _over(steady: bool) -> Any:
                 if until > now:
                     if steady:
                         glide(x, volts, mode, until - now, joint[2], acting)
+                    elif linear:
+                        advance_linear(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
                     else:
-                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
+                        advance_all(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
                 now = until
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
@@ -89,7 +91,7 @@ def _over(steady: bool) -> Any:
     return run
 
 
-_run_steady, _run_whole = _over(True), _over(False)
+_run_steady, _run_linear, _run_all = _over(True, False), _over(False, True), _over(False, False)
 
 
 @compiled
@@ -103,5 +105,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     joint = joint_of(p, on)
     if is_steady(joint, substep, on):
         _run_steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
+    elif is_linear(winding_lag(p, on), modes, modes.shape[0], p, on):
+        _run_linear(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
     else:
-        _run_whole(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
+        _run_all(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
