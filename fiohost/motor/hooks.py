@@ -121,6 +121,9 @@ else:
     end="return None",
 )
 opens = any_of("opens")
+pulled = any_of("torque")
+loaded = any_of("load")
 remembers = any_of("rate")
+bristles = any_of("bristle")
 ohmic = any_of("resistance", "voltage")
 ends = any_of("event")

@@ -19,7 +19,7 @@ import numpy as np
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_linear, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, command, coupling, delay, ends, next_moment, remembers, ohmic, voltage
+from fiohost.motor.hooks import PERIOD, pulled, loaded, breakaway, bristles, command, coupling, delay, ends, next_moment, remembers, ohmic, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.steady import glide, is_steady, torques
 from fiohost.motor.step import advance_all, advance_linear
@@ -47,7 +47,7 @@ def _over(steady: bool, linear: bool) -> Any:
     @inlined
     def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, p, on, states):  # type: ignore[no-untyped-def]
         lag, late, n = winding_lag(p, on), delay((), p, on), act_times.shape[0]
-        now, has = times[first], (ohmic(on), remembers(on), ends(on))
+        now, has = times[first], (ohmic(on), remembers(on), ends(on), bristles(on), pulled(on), loaded(on), breakaway((), p, on))
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
@@ -68,7 +68,7 @@ def _over(steady: bool, linear: bool) -> Any:
                     if steady:
                         glide(x, volts, mode, until - now, joint[2], acting)
                     elif linear:
-                        advance_linear(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
+                        advance_linear(x, duty, mode, clock + now, until - now, substep, joint, lag, (False, False, False, False, has[4], has[5], has[6]), p, on)
                     else:
                         advance_all(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
                 now = until

@@ -34,7 +34,6 @@ from fiohost.motor.flow import flow
 from fiohost.motor.hooks import (
     NO_BRISTLE,
     barred,
-    breakaway,
     bristle,
     carry,
     friction,
@@ -76,20 +75,20 @@ def _stepper(two: bool, special: bool) -> Any:
         """
         kind, share, half_gap, stiff, damp, usual_mass = joint
         gain = p[GAIN]
-        ohmic, remembering, ending = has
+        ohmic, remembering, ending, bristles, pulled, loaded, extra = has
         lossy = False
         if special:
             if mode == DRIVE and duty == 0.0 and opens(on):
                 mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
             lossy = loses(mode, p, on)
+        mass = usual_mass * inertia(1.0, (time,), p, on)
+        own, other = mass * (1.0 - share), mass * share
+        bodies = (gain, mass, own, other, stiff, damp, half_gap)
         left, released = span, False
         for k in range(MOST_STEPS):
             if left <= 0.0:
                 break
             theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
-            mass = usual_mass * inertia(1.0, (time,), p, on)
-            bodies = (gain, mass, mass * (1.0 - share), mass * share, stiff, damp, half_gap)
-            own, other = bodies[2], bodies[3]
             joined, sprung, load_omega, load_at, twist = True, False, omega, theta, 0.0
             dt = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
             if two:
@@ -126,13 +125,15 @@ def _stepper(two: bool, special: bool) -> Any:
                     tends = (volts - w / gain) / ohms
                     push = tends - (amps - tends) * expm1(-dt * ohms / lag) * lag / (dt * ohms)
                 q = theta + turn
-                rest = torque((q, w, at), p, on)
-                beyond = load((q - s, v, at), p, on)
+                rest = torque((q, w, at), p, on) if pulled else 0.0
+                beyond = load((q - s, v, at), p, on) if loaded else 0.0
                 total = push + rest + (beyond if joined else 0.0)
                 if sprung:
                     total -= strain_of(s, w - v, contact, bodies)
-                slack = bristle(NO_BRISTLE, (), x, shift, p, on)
-                bristled = not isnan(slack)
+                slack = NO_BRISTLE
+                if bristles:
+                    slack = bristle(NO_BRISTLE, (), x, shift, p, on)
+                    bristled = not isnan(slack)
                 slides = sign(slack) if bristled else direction
                 if slides == 0.0:
                     slides = 1.0 if total > 0.0 else -1.0
@@ -140,7 +141,7 @@ def _stepper(two: bool, special: bool) -> Any:
                 if direction == 0.0:
                     direction = slides if not bristled else (1.0 if total > level * slack else -1.0)
                 if middle == 0:
-                    hold = level + breakaway((), p, on)
+                    hold = level + extra
                     if omega == 0.0:
                         held = ending and joined and barred((load_at, direction), p, on)
                         stuck = held or not (bristled or released or abs(total) > hold)
@@ -160,7 +161,7 @@ def _stepper(two: bool, special: bool) -> Any:
                         pull = beyond + (strain_of(twist, omega, contact, bodies) if sprung else 0.0)
                         stuck_load = barred((load_at, sign(pull)), p, on)
                 elif stuck and i != amps:
-                    harder = (level + breakaway((), p, on) - hold) / (i - amps)  # friction that grows with the current
+                    harder = (level + extra - hold) / (i - amps)  # friction that grows with the current
                 forces = (volts, rest - (level * slack if bristled else level * direction), beyond)
                 emf, lags = free == 1 or mode != STANDBY, lag if free == 1 else 0.0
                 regime = (joined, sprung, stuck, stuck_load, emf, lags, ohms, contact)
@@ -239,4 +240,4 @@ def _stepper(two: bool, special: bool) -> Any:
     return advance
 
 
-advance_linear, advance_all = _stepper(two=True, special=False), _stepper(two=True, special=True)
+advance_linear, advance_all = _stepper(two=False, special=False), _stepper(two=True, special=True)
