@@ -87,14 +87,14 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
 
 
 @inlined
-def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
+def circuit(omega, time, duty, mode, per_gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
     """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
     voltages under which a current along and against the motion's sign flows, and the resistance.
     """
     ohms = resistance(1.0, (duty,), x, shift, p, on)
     lost = drop((), p, on)
     most = ceiling((), p, on)
-    emf = omega / gain
+    emf = omega * per_gain
     share = min(abs(duty) * 0.01, 1.0)
     on_volts, pause = 0.0, lost
     if mode == STANDBY:
@@ -136,7 +136,7 @@ def winding_lag(p, on):  # type: ignore[no-untyped-def]
 @inlined
 def settled_current(omega, time, duty, x, p, on):  # type: ignore[no-untyped-def]
     """Mean current in percent of stall of a driven motor at a speed, once a lag of its own is over."""
-    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, p[GAIN], x, 0, winding_lag(p, on), p, on)
+    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, winding_lag(p, on), p, on)
     return mean
 
 
@@ -149,29 +149,29 @@ def flows(amps, along, against):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def winding(omega, amps, time, duty, mode, gain, lag, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
+def winding(omega, amps, time, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
     """The current that drives, the voltage and resistance that it follows, the settled value at which it stays (inf:
     none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
     in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
     """
-    mean, special, along, against, ohms = circuit(omega, time, duty, mode, gain, x, shift, lag, p, on)
+    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, lag, p, on)
     if free < 0:
         free = 0
         if lag > 0.0 and not (settled and special):
             free = 1
             if special:  # it ceases or is limited in each period, and is free until it comes there
-                way = flows(amps, along - omega / gain, against - omega / gain)
-                tends = (along if way > 0.0 else against) - omega / gain - ohms * amps
+                way = flows(amps, along - omega * per_gain, against - omega * per_gain)
+                tends = (along if way > 0.0 else against) - omega * per_gain - ohms * amps
                 free = 1 if way != 0.0 and (mean - amps) * tends > ALIKE * abs(tends) else 0
     if free != 1:
-        return mean, (mean + omega / gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
+        return mean, (mean + omega * per_gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
     if way == 0.0:
-        way = flows(amps, along - omega / gain, against - omega / gain)
+        way = flows(amps, along - omega * per_gain, against - omega * per_gain)
     return amps, (along if way > 0.0 else against), ohms, (mean if special else inf), way, 1
 
 
 @inlined
-def linear_winding(omega, amps, time, duty, mode, gain, lag, ohmic, x, shift, p, on):  # type: ignore[no-untyped-def]
+def linear_winding(omega, amps, time, duty, mode, per_gain, lag, ohmic, x, shift, p, on):  # type: ignore[no-untyped-def]
     """As ``winding``, for a circuit that is linear throughout: no voltage is lost, no current limited, and one that lags
     is never left open. The current that drives, the voltage and resistance that it follows, and whether it flows free.
     """
@@ -183,7 +183,7 @@ def linear_winding(omega, amps, time, duty, mode, gain, lag, ohmic, x, shift, p,
         ohms = resistance(1.0, (duty,), x, shift, p, on)
     if lag > 0.0:
         return amps, volts, ohms, 1
-    emf = omega / gain
+    emf = omega * per_gain
     push = (volts - emf) / ohms
     return push, push + emf, ohms, 0
 

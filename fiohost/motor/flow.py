@@ -44,7 +44,7 @@ def _swing(dt, tau, lag, ohms):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def one_body(omega, amps, volts, force, gain, tau, lag, ohms, emf, dt, x, at):  # type: ignore[no-untyped-def]
+def one_body(omega, amps, volts, force, gain, per_gain, tau, lag, ohms, emf, dt, x, at):  # type: ignore[no-untyped-def]
     """Angle turned, speed and current after dt of a body of time constant ``tau``; without ``emf`` no current answers
     the speed, and without ``lag`` the current is what ``volts`` and speed leave.
     """
@@ -56,16 +56,17 @@ def one_body(omega, amps, volts, force, gain, tau, lag, ohms, emf, dt, x, at):  
             x[at], x[at + 1], x[at + 2], x[at + 3] = dt, tau, 0.0, expm1(-dt / tau)
         steady = gain * (volts + force)
         change = (omega - steady) * x[at + 3]
-        return steady * dt - tau * change, omega + change, volts - (omega + change) / gain
-    if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or lag / ohms != x[at + 2]:
-        x[at], x[at + 1], x[at + 2] = dt, tau, lag / ohms
-        x[at + 3], x[at + 4] = _swing(dt, tau, lag, ohms)
-    c, s = x[at + 3], x[at + 4]
+        after = omega + change
+        return steady * dt - tau * change, after, volts - after * per_gain
+    if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or lag != x[at + 2] or ohms != x[at + 3]:
+        x[at], x[at + 1], x[at + 2], x[at + 3] = dt, tau, lag, ohms
+        c, s = _swing(dt, tau, lag, ohms)
+        half = 0.5 * ohms / lag * s
+        x[at + 4], x[at + 5], x[at + 6], x[at + 7] = c + half, s / tau, -s / lag, c - half
     steady = gain * (volts + ohms * force)
-    w, v = (omega - steady) / gain, amps + force
-    half = 0.5 * ohms / lag
-    w1 = (c + half * s) * w + s / tau * v
-    v1 = (c - half * s) * v - s / lag * w
+    w, v = (omega - steady) * per_gain, amps + force
+    w1 = x[at + 4] * w + x[at + 5] * v
+    v1 = x[at + 6] * w + x[at + 7] * v
     return steady * dt - gain * (lag * (v1 - v) + ohms * tau * (w1 - w)), steady + gain * w1, v1 - force
 
 
@@ -140,7 +141,7 @@ def _pushed(m, at, b0, b1, b3):  # type: ignore[no-untyped-def]
 
 @part
 def two_bodies(  # type: ignore[no-untyped-def]
-    omega, amps, twist, load_omega, volts, force, load, stiff, damp, gain, own, other, lag, ohms, kind, dt, x, at
+    omega, amps, twist, load_omega, volts, force, load, stiff, damp, gain, per_gain, own, other, lag, ohms, kind, dt, x, at
 ):
     """Angle turned by the motor, speed, current, twist and load speed after dt of two bodies on a spring.
 
@@ -184,7 +185,7 @@ def two_bodies(  # type: ignore[no-untyped-def]
     load_after = _row(m, 3 * N, omega, amps, twist, load_omega) + _pushed(m, SQUARE + 3 * N, b0, b1, b3)
     turned = _row(m, SQUARE, omega, amps, twist, load_omega) + _pushed(m, 2 * SQUARE, b0, b1, b3)
     if not lagged:
-        flowing = volts - (after / gain if emf else 0.0)
+        flowing = volts - (after * per_gain if emf else 0.0)
     return turned, after, flowing, twisted, load_after
 
 
@@ -193,23 +194,25 @@ def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-d
     """Angle turned by the motor and speed, current, twist and load speed after ``h`` in a regime."""
     omega, amps, twist, load_omega = motion
     volts, force, beyond = forces
-    gain, mass, own, other, stiff, damp, half_gap = bodies
+    gain, per_gain, mass, own, other, stiff, damp, half_gap = bodies
     joined, sprung, stuck, stuck_load, emf, lag, ohms, contact = regime
     if sprung:
         held = (1 if stuck else 0) + (2 if stuck_load else 0) + (4 if emf else 0)
         offset = stiff * contact * half_gap
         return two_bodies(
-            omega, amps, twist, load_omega, volts, force + offset, beyond - offset, stiff, damp, gain, own, other,
-            lag, ohms, held, h, x, at,
+            omega, amps, twist, load_omega, volts, force + offset, beyond - offset, stiff, damp, gain, per_gain, own,
+            other, lag, ohms, held, h, x, at,
         )  # fmt: skip
     if stuck:
         turn, after, flowing = 0.0, 0.0, volts
         if lag > 0.0:
             flowing = volts / ohms + (amps - volts / ohms) * exp(-h * ohms / lag)
     elif joined:
-        turn, after, flowing = one_body(omega, amps, volts, force + beyond, gain, gain * mass, lag, ohms, emf, h, x, at)
+        turn, after, flowing = one_body(
+            omega, amps, volts, force + beyond, gain, per_gain, gain * mass, lag, ohms, emf, h, x, at
+        )
     else:
-        turn, after, flowing = one_body(omega, amps, volts, force, gain, gain * own, lag, ohms, emf, h, x, at)
+        turn, after, flowing = one_body(omega, amps, volts, force, gain, per_gain, gain * own, lag, ohms, emf, h, x, at)
     if joined:
         return turn, after, flowing, twist, after
     if stuck_load:

@@ -22,7 +22,7 @@ from fiohost.motor.events import PLAY, RIGID, SPRING
 from fiohost.motor.hooks import PERIOD, pulled, loaded, breakaway, bristles, command, coupling, delay, ends, next_moment, remembers, ohmic, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.steady import glide, is_steady, torques
-from fiohost.motor.step import advance_all, advance_linear
+from fiohost.motor.step import has_of, stepper
 
 
 @inlined
@@ -41,13 +41,14 @@ def joint_of(p, on):  # type: ignore[no-untyped-def]
     return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
-def _over(steady: bool, linear: bool) -> Any:
-    """The loop over samples and commands, for a body under steady torques or for the whole motor."""
+def _over(advance: Any) -> Any:
+    """The loop over samples and commands with a step of the motor; None is that of a body under steady torques."""
+    steady = advance is None
 
     @inlined
-    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, p, on, states):  # type: ignore[no-untyped-def]
+    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, has, p, on, states):  # type: ignore[no-untyped-def]
         lag, late, n = winding_lag(p, on), delay((), p, on), act_times.shape[0]
-        now, has = times[first], (ohmic(on), remembers(on), ends(on), bristles(on), pulled(on), loaded(on), breakaway((), p, on))
+        now = times[first]
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
@@ -67,10 +68,8 @@ def _over(steady: bool, linear: bool) -> Any:
                 if until > now:
                     if steady:
                         glide(x, volts, mode, until - now, joint[2], acting)
-                    elif linear:
-                        advance_linear(x, duty, mode, clock + now, until - now, substep, joint, lag, (False, False, False, False, has[4], has[5], has[6]), p, on)
                     else:
-                        advance_all(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
+                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
                 now = until
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
@@ -91,7 +90,11 @@ def _over(steady: bool, linear: bool) -> Any:
     return run
 
 
-_run_steady, _run_linear, _run_all = _over(True, False), _over(False, True), _over(False, False)
+_steady = _over(None)
+_one = _over(stepper(two=False, more=False, special=False))
+_two = _over(stepper(two=True, more=False, special=False))
+_more = _over(stepper(two=False, more=True, special=False))
+_all = _over(stepper(two=True, more=True, special=True))
 
 
 @compiled
@@ -103,9 +106,15 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     step.
     """
     joint = joint_of(p, on)
+    has = has_of(p, on)
+    more = has[2] or has[3] or has[4] or has[5]
     if is_steady(joint, substep, on):
-        _run_steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
-    elif is_linear(winding_lag(p, on), modes, modes.shape[0], p, on):
-        _run_linear(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
+        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+    elif not is_linear(winding_lag(p, on), modes, modes.shape[0], p, on) or (more and joint[0] != RIGID):
+        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+    elif more:
+        _more(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+    elif joint[0] != RIGID:
+        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
     else:
-        _run_all(times, act_times, duties, modes, clock, first, last, state, substep, joint, p, on, states)
+        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)

@@ -15,7 +15,7 @@ WARMTH = [slot for name, slot in OWN.items() if effects()[name].warms]
 # Behind the state: the effects' own at the middle of a step, then exponentials, as most steps are as long as the one
 # before: those of a whole step, of half a step, and of a part.
 MIDDLE = len(OWN)
-ONE_BODY, TWO_BODIES = 5, 53
+ONE_BODY, TWO_BODIES = 8, 53
 WHOLE = STATE_SIZE + MIDDLE
 HALF, PART = WHOLE + ONE_BODY + TWO_BODIES, WHOLE + 2 * (ONE_BODY + TWO_BODIES)
 SCRATCH = WHOLE + 3 * (ONE_BODY + TWO_BODIES)

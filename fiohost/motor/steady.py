@@ -23,31 +23,31 @@ def is_steady(joint, substep, on):  # type: ignore[no-untyped-def]
 
 @inlined
 def torques(joint, time, x, p, on):  # type: ignore[no-untyped-def]
-    """What acts on the body from a time on: gain, time constant, torque, sliding friction forward and in reverse, and
+    """What acts on the body from a time on: gain and one over it, time constant, torque, sliding friction forward and in reverse, and
     what holds it at rest beyond that.
     """
     tau = p[GAIN] * joint[5] * inertia(1.0, (time,), p, on)
     force = torque((0.0, 0.0, time), p, on) + load((0.0, 0.0, time), p, on)
     forward = max(friction(0.0, (0.0, 0.0, time, 0.0, 1.0), x, 0, p, on), 0.0)
     reverse = max(friction(0.0, (0.0, 0.0, time, 0.0, -1.0), x, 0, p, on), 0.0)
-    return p[GAIN], tau, force, forward, reverse, breakaway((), p, on)
+    return p[GAIN], 1.0 / p[GAIN], tau, force, forward, reverse, breakaway((), p, on)
 
 
 @inlined
 def glide(x, volts, mode, span, half_gap, acting):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant voltage, in percent, under what ``torques`` says acts on it."""
-    gain, tau, force, forward, reverse, extra = acting
+    gain, per_gain, tau, force, forward, reverse, extra = acting
     emf = mode != STANDBY
     if not emf:
         volts = 0.0
     theta, omega, amps, left = x[THETA], x[OMEGA], volts, span
     if omega != 0.0:
         net = force - forward if omega > 0.0 else force + reverse
-        turn, after, amps = one_body(omega, 0.0, volts, net, gain, tau, 0.0, 1.0, emf, span, x, WHOLE)
+        turn, after, amps = one_body(omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, span, x, WHOLE)
         left = 0.0
         if after * omega < 0.0:
             h = time_to_rest(omega, volts, net, gain, tau, emf, span)
-            turn, _, _ = one_body(omega, 0.0, volts, net, gain, tau, 0.0, 1.0, emf, h, x, PART)
+            turn, _, _ = one_body(omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, h, x, PART)
             after, left = 0.0, span - h
         theta, omega = theta + turn, after
     if half_gap > 0.0:
@@ -57,7 +57,7 @@ def glide(x, volts, mode, span, half_gap, acting):  # type: ignore[no-untyped-de
         if push > forward + extra or push < -reverse - extra:
             net = force - forward if push > 0.0 else force + reverse
             at = WHOLE if left == span else PART
-            turn, after, flowing = one_body(0.0, 0.0, volts, net, gain, tau, 0.0, 1.0, emf, left, x, at)
+            turn, after, flowing = one_body(0.0, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, left, x, at)
             if after * push > 0.0:
                 theta, omega, amps = theta + turn, after, flowing
     x[THETA], x[OMEGA], x[LOAD_OMEGA], x[CURRENT], x[HELD] = theta, omega, omega, amps, 0.0

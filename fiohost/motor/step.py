@@ -33,6 +33,13 @@ from fiohost.motor.events import (
 from fiohost.motor.flow import flow
 from fiohost.motor.hooks import (
     NO_BRISTLE,
+    bristles,
+    breakaway,
+    ends,
+    loaded,
+    ohmic,
+    pulled,
+    remembers,
     barred,
     bristle,
     carry,
@@ -63,9 +70,18 @@ from fiohost.motor.state import (
 MOST_STEPS = 400
 
 
-def _stepper(two: bool, special: bool) -> Any:
-    """The step of a motor that may have two bodies, and whose current may cease or be limited within a PWM period; what
-    is not there is left out of the code.
+@inlined
+def has_of(p, on):  # type: ignore[no-untyped-def]
+    """What there is in a model, asked once a run: torques, loads, a voltage or resistance of its own, states of effects'
+    own, ends of travel, bristles; and how much break-away is above sliding friction.
+    """
+    return pulled(on), loaded(on), ohmic(on), remembers(on), ends(on), bristles(on), breakaway((), p, on)
+
+
+def stepper(two: bool, more: bool, special: bool) -> Any:
+    """The step of a motor; what a kind of motor has not is left out of its code: ``two`` bodies, ``more`` than friction
+    and torques (ends of travel, bristles, states of effects' own, a voltage or resistance that changes), a ``special``
+    circuit, whose current may cease or be limited within a PWM period.
     """
 
     @inlined
@@ -74,8 +90,10 @@ def _stepper(two: bool, special: bool) -> Any:
         ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
         """
         kind, share, half_gap, stiff, damp, usual_mass = joint
-        gain = p[GAIN]
-        ohmic, remembering, ending, bristles, pulled, loaded, extra = has
+        gain, per_gain = p[GAIN], 1.0 / p[GAIN]
+        pulls, loads, ohms_vary, remembering, ending, bristly, extra = has
+        if not more:
+            ohms_vary = remembering = ending = bristly = False
         lossy = False
         if special:
             if mode == DRIVE and duty == 0.0 and opens(on):
@@ -83,7 +101,7 @@ def _stepper(two: bool, special: bool) -> Any:
             lossy = loses(mode, p, on)
         mass = usual_mass * inertia(1.0, (time,), p, on)
         own, other = mass * (1.0 - share), mass * share
-        bodies = (gain, mass, own, other, stiff, damp, half_gap)
+        bodies = (gain, per_gain, mass, own, other, stiff, damp, half_gap)
         left, released = span, False
         for k in range(MOST_STEPS):
             if left <= 0.0:
@@ -113,25 +131,25 @@ def _stepper(two: bool, special: bool) -> Any:
             for middle in range(2):
                 if special:
                     push, volts, ohms, until, way, free = winding(
-                        w, i, at, duty, mode, gain, lag, free, way, settled, x, shift, p, on
+                        w, i, at, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
                     )
                 else:
-                    push, volts, ohms, free = linear_winding(w, i, at, duty, mode, gain, lag, ohmic, x, shift, p, on)
+                    push, volts, ohms, free = linear_winding(w, i, at, duty, mode, per_gain, lag, ohms_vary, x, shift, p, on)
                 if middle == 0 and free != 1:
                     amps, settled = push, free == 2
                     motion = (omega, amps, twist, load_omega)
                 elif middle == 1 and free == 1:
                     # What depends on the current meets its mean: it may settle within a small part of the step.
-                    tends = (volts - w / gain) / ohms
+                    tends = (volts - w * per_gain) / ohms
                     push = tends - (amps - tends) * expm1(-dt * ohms / lag) * lag / (dt * ohms)
                 q = theta + turn
-                rest = torque((q, w, at), p, on) if pulled else 0.0
-                beyond = load((q - s, v, at), p, on) if loaded else 0.0
+                rest = torque((q, w, at), p, on) if pulls else 0.0
+                beyond = load((q - s, v, at), p, on) if loads else 0.0
                 total = push + rest + (beyond if joined else 0.0)
                 if sprung:
                     total -= strain_of(s, w - v, contact, bodies)
                 slack = NO_BRISTLE
-                if bristles:
+                if bristly:
                     slack = bristle(NO_BRISTLE, (), x, shift, p, on)
                     bristled = not isnan(slack)
                 slides = sign(slack) if bristled else direction
@@ -239,5 +257,3 @@ def _stepper(two: bool, special: bool) -> Any:
 
     return advance
 
-
-advance_linear, advance_all = _stepper(two=False, special=False), _stepper(two=True, special=True)
