@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import copysign, exp, inf, log
 
 from fiohost.motor.compiled import inlined, part, sign
-from fiohost.motor.hooks import PERIOD, ceiling, drop, lag, opens, resistance, voltage
+from fiohost.motor.hooks import PERIOD, ceiling, drop, lag, opens, resistance, resists, varies, voltage
 from fiohost.motor.state import DRIVE, GAIN, SMALLEST_LAG_S, STANDBY
 
 SUPPLY = 100.0
@@ -171,33 +171,55 @@ def winding(omega, amps, time, duty, mode, per_gain, lag, free, way, settled, x,
 
 
 @inlined
-def linear_winding(omega, amps, time, duty, mode, per_gain, lag, ohmic, x, shift, p, on):  # type: ignore[no-untyped-def]
-    """As ``winding``, for a circuit that is linear throughout: no voltage is lost, no current limited, and one that lags
-    is never left open. The current that drives, the voltage and resistance that it follows, and whether it flows free.
+def losses(p, on):  # type: ignore[no-untyped-def]
+    """Of a winding, asked once a run: voltage lost, greatest current, whether the bridge opens between pulses, and
+    whether voltage or resistance are other than those of a cold winding on a firm supply.
     """
-    if mode == STANDBY:
-        return 0.0, 0.0, 1.0, 0
-    volts, ohms = duty, 1.0
-    if ohmic:
-        volts = voltage(duty, (duty, time), p, on)
-        ohms = resistance(1.0, (duty,), x, shift, p, on)
-    if lag > 0.0:
-        return amps, volts, ohms, 1
-    emf = omega * per_gain
-    push = (volts - emf) / ohms
-    return push, push + emf, ohms, 0
+    return drop((), p, on), ceiling((), p, on), opens(on), varies(on), resists(on)
 
 
 @inlined
-def is_linear(lag_s, modes, count, p, on):  # type: ignore[no-untyped-def]
-    """Whether a circuit is linear throughout the first ``count`` of some modes."""
-    if drop((), p, on) > 0.0 or ceiling((), p, on) < inf or opens(on):
+def is_simple(lag_s, lost, modes, acts, until):  # type: ignore[no-untyped-def]
+    """Whether ``simple_winding`` is right: no current lags, or one that lags neither ceases nor is limited while modes
+    act that begin at ``acts``.
+    """
+    if lag_s == 0.0:
+        return True
+    if lost[0] > 0.0 or lost[1] < inf or lost[2] or modes[0] == STANDBY:
         return False
-    if lag_s > 0.0:
-        for k in range(count):
-            if modes[k] == STANDBY:
-                return False
+    for k in range(acts.shape[0]):
+        if acts[k] > until:
+            break
+        if modes[k + 1] == STANDBY:
+            return False
     return True
+
+
+@inlined
+def simple_winding(omega, amps, time, duty, mode, per_gain, lag, lost, x, shift, p, on):  # type: ignore[no-untyped-def]
+    """As ``winding``, where a mean is all there is to know: the current that drives, the voltage and resistance that it
+    follows, and whether it flows free.
+    """
+    drop_pct, most, opening, varying, resisting = lost
+    if mode == STANDBY:
+        return 0.0, 0.0, 1.0, 0
+    volts, ohms, emf = duty, 1.0, omega * per_gain
+    if varying:
+        volts = voltage(duty, (duty, time), p, on)
+    if resisting:
+        ohms = resistance(1.0, (duty,), x, shift, p, on)
+    if lag > 0.0:
+        return amps, volts, ohms, 1
+    push = volts - emf
+    if opening or drop_pct > 0.0:
+        width, pulse = drop_pct, min(abs(duty) * 0.01, 1.0)
+        if opening and pulse > 0.0:
+            width += abs(volts) * (1.0 - pulse) / pulse
+        push = copysign(max(abs(push) - width, 0.0), push)
+    if resisting:
+        push /= ohms
+    push = min(max(push, -most), most)
+    return push, push + emf, ohms, 0
 
 
 @inlined

@@ -22,6 +22,7 @@ N_EFFECTS = len(EFFECT_INDEX)
 FIXED_STATES = 7  # those of the kernel; the effects' own follow
 OWN = {e.name: FIXED_STATES + i for i, e in enumerate(e for e in effects().values() if e.rate is not None)}
 NO_BRISTLE = nan
+SHORT = 0.01  # part of a time constant, for which six terms of a series are exact
 
 
 def having(*kinds: str) -> list[Effect]:
@@ -30,13 +31,21 @@ def having(*kinds: str) -> list[Effect]:
     return sorted(found, key=lambda e: (e.stage, e.name))
 
 
+@inlined
+def share_of(fallen):  # type: ignore[no-untyped-def]
+    """``(1 - exp(-y)) / y``: how much of what it strives for a state has made after y of its time constants."""
+    if abs(fallen) < SHORT:
+        return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen / 720))))
+    return (1.0 - exp(-fallen)) / fallen
+
+
 def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str = "return value") -> Any:
     """A function of some arguments: the line ``start``, the lines of ``link`` for each effect that is on and has a hook
     of a kind, and ``end``. In a link stand HOOK for the hook, EVENT for that of events, Q for the effect's parameters
     and OWN for its own state.
     """
     head = ", ".join([*arguments.split(), "p", "on"])
-    lines, names = [f"def {kind}({head}):", f"    {start}"], {"exp": exp, "inf": inf}
+    lines, names = [f"def {kind}({head}):", f"    {start}"], {"inf": inf, "share_of": share_of}
     for item in having(kind):
         begin, slot = layout()[item.name], OWN.get(item.name)
         values = "".join(f"p[{begin + i}], " for i in range(len(item.parameters)))
@@ -111,12 +120,9 @@ carry = _joined(
     """
 shift = 0
 z = OWN
-source, decay = HOOK(z, omega, amps, Q)
 shift = to
-if abs(decay) * dt < 1e-9:
-    OWN = z + (source - decay * z) * dt
-else:
-    OWN = source / decay + (z - source / decay) * exp(-decay * dt)
+source, decay = HOOK(z, omega, amps, Q)
+OWN = z + (source - decay * z) * dt * share_of(decay * dt)
 """.strip(),
     end="return None",
 )
@@ -125,5 +131,6 @@ pulled = any_of("torque")
 loaded = any_of("load")
 remembers = any_of("rate")
 bristles = any_of("bristle")
-ohmic = any_of("resistance", "voltage")
+resists = any_of("resistance")
+varies = any_of("voltage")
 ends = any_of("event")

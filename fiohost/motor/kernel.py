@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.motor.electrics import is_linear, winding_lag
+from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, pulled, loaded, breakaway, bristles, command, coupling, delay, ends, next_moment, remembers, ohmic, voltage
+from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.steady import glide, is_steady, torques
 from fiohost.motor.step import has_of, stepper
@@ -46,8 +46,8 @@ def _over(advance: Any) -> Any:
     steady = advance is None
 
     @inlined
-    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, has, p, on, states):  # type: ignore[no-untyped-def]
-        lag, late, n = winding_lag(p, on), delay((), p, on), act_times.shape[0]
+    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, has, p, on, states):  # type: ignore[no-untyped-def]
+        late, n = delay((), p, on), act_times.shape[0]
         now = times[first]
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
@@ -69,7 +69,7 @@ def _over(advance: Any) -> Any:
                     if steady:
                         glide(x, volts, mode, until - now, joint[2], acting)
                     else:
-                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, has, p, on)
+                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, lost, has, p, on)
                 now = until
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
@@ -105,16 +105,18 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     ``duties[j+1]`` begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact
     step.
     """
-    joint = joint_of(p, on)
-    has = has_of(p, on)
-    more = has[2] or has[3] or has[4] or has[5]
+    joint, has, lag, lost = joint_of(p, on), has_of(p, on), winding_lag(p, on), losses(p, on)
+    _, _, remembering, ending, bristly, _ = has
+    more = remembering or ending or bristly or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
+    begin = np.searchsorted(act_times, times[first] - delay((), p, on), side="right")
+    simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
     if is_steady(joint, substep, on):
-        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
-    elif not is_linear(winding_lag(p, on), modes, modes.shape[0], p, on) or (more and joint[0] != RIGID):
-        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+    elif not simple or (more and joint[0] != RIGID):
+        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
     elif more:
-        _more(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+        _more(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
     elif joint[0] != RIGID:
-        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
     else:
-        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, has, p, on, states)
+        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)

@@ -12,7 +12,7 @@ from math import expm1, inf, isnan
 from typing import Any
 
 from fiohost.motor.compiled import inlined, sign
-from fiohost.motor.electrics import linear_winding, loses, winding
+from fiohost.motor.electrics import loses, simple_winding, winding
 from fiohost.motor.events import (
     ALIKE,
     END,
@@ -37,7 +37,6 @@ from fiohost.motor.hooks import (
     breakaway,
     ends,
     loaded,
-    ohmic,
     pulled,
     remembers,
     barred,
@@ -72,10 +71,10 @@ MOST_STEPS = 400
 
 @inlined
 def has_of(p, on):  # type: ignore[no-untyped-def]
-    """What there is in a model, asked once a run: torques, loads, a voltage or resistance of its own, states of effects'
-    own, ends of travel, bristles; and how much break-away is above sliding friction.
+    """What there is in a model, asked once a run: torques, loads, states of effects' own, ends of travel, bristles; and
+    how much break-away is above sliding friction.
     """
-    return pulled(on), loaded(on), ohmic(on), remembers(on), ends(on), bristles(on), breakaway((), p, on)
+    return pulled(on), loaded(on), remembers(on), ends(on), bristles(on), breakaway((), p, on)
 
 
 def stepper(two: bool, more: bool, special: bool) -> Any:
@@ -85,20 +84,19 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
     """
 
     @inlined
-    def advance(x, duty, mode, time, span, substep, joint, lag, has, p, on):  # type: ignore[no-untyped-def]
+    def advance(x, duty, mode, time, span, substep, joint, lag, lost, has, p, on):  # type: ignore[no-untyped-def]
         """Carry the motor over a span of constant command. ``joint`` is what joins the load, as ``kernel.joint_of`` says;
         ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
         """
         kind, share, half_gap, stiff, damp, usual_mass = joint
         gain, per_gain = p[GAIN], 1.0 / p[GAIN]
-        pulls, loads, ohms_vary, remembering, ending, bristly, extra = has
+        pulls, loads, remembering, ending, bristly, extra = has
         if not more:
-            ohms_vary = remembering = ending = bristly = False
-        lossy = False
-        if special:
-            if mode == DRIVE and duty == 0.0 and opens(on):
-                mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
-            lossy = loses(mode, p, on)
+            remembering = ending = bristly = False
+            lost = (0.0, inf, False, False, False)
+        if lost[2] and mode == DRIVE and duty == 0.0:
+            mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
+        lossy = special and loses(mode, p, on)
         mass = usual_mass * inertia(1.0, (time,), p, on)
         own, other = mass * (1.0 - share), mass * share
         bodies = (gain, per_gain, mass, own, other, stiff, damp, half_gap)
@@ -134,7 +132,9 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                         w, i, at, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
                     )
                 else:
-                    push, volts, ohms, free = linear_winding(w, i, at, duty, mode, per_gain, lag, ohms_vary, x, shift, p, on)
+                    push, volts, ohms, free = simple_winding(
+                        w, i, at, duty, mode, per_gain, lag, lost, x, shift, p, on
+                    )
                 if middle == 0 and free != 1:
                     amps, settled = push, free == 2
                     motion = (omega, amps, twist, load_omega)
