@@ -87,7 +87,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder or "")
     try:
-        return numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)(function)
+        return numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, _nrt=False)(function)
     finally:
         numba.config.CACHE_DIR = before
 
@@ -98,12 +98,12 @@ def part(function: Callable[..., Any]) -> Any:
     It says so, as it would inherit ``forceinline`` from a caller: then the compiler hoists the divisions of rare
     branches out of the step's loops and does them at every step.
     """
-    return register_jitable(error_model="numpy", fastmath={"contract"}, forceinline=False, _nrt=False, no_cfunc_wrapper=True)(function)
+    return register_jitable(error_model="numpy", fastmath={"contract", "arcp"}, forceinline=False, _nrt=False, no_cfunc_wrapper=True)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return register_jitable(error_model="numpy", fastmath={"contract"}, forceinline=True, _nrt=False, no_cfunc_wrapper=True)(function)
+    return register_jitable(error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True, _nrt=False, no_cfunc_wrapper=True)(function)
 
 
 @inlined

@@ -35,7 +35,7 @@ def having(*kinds: str) -> list[Effect]:
 def share_of(fallen):  # type: ignore[no-untyped-def]
     """``(1 - exp(-y)) / y``: how much of what it strives for a state has made after y of its time constants."""
     if abs(fallen) < SHORT:
-        return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen / 720))))
+        return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen * (1 / 720)))))
     return (1.0 - exp(-fallen)) / fallen
 
 
