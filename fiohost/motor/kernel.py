@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from fiohost.motor.body import glide, is_steady, slide, steady_torques
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
 from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
-from fiohost.motor.steady import glide, is_steady, torques
 from fiohost.motor.step import has_of, stepper
 
 
@@ -41,9 +41,8 @@ def joint_of(p, on):  # type: ignore[no-untyped-def]
     return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
-def _over(advance: Any) -> Any:
-    """The loop over samples and commands with a step of the motor; None is that of a body under steady torques."""
-    steady = advance is None
+def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
+    """The loop over samples and commands, with a step of the motor."""
 
     @inlined
     def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, has, p, on, states):  # type: ignore[no-untyped-def]
@@ -54,7 +53,7 @@ def _over(advance: Any) -> Any:
         acts = act_times[j] + late if j < n else inf
         duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
         if steady:
-            volts, acting = voltage(duty, (duty, clock + now), p, on), torques(joint, clock + now, x, p, on)
+            volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, x, p, on)
         for i in range(STATE_SIZE):
             states[0, i] = x[i]
         for k in range(first + 1, last):
@@ -67,7 +66,9 @@ def _over(advance: Any) -> Any:
                     until, changes = change, False
                 if until > now:
                     if steady:
-                        glide(x, volts, mode, until - now, joint[2], acting)
+                        advance(x, volts, mode, until - now, joint[2], torques)
+                    elif body:
+                        advance(x, duty, mode, clock + now, until - now, substep, joint, lost, has, p, on)
                     else:
                         advance(x, duty, mode, clock + now, until - now, substep, joint, lag, lost, has, p, on)
                 now = until
@@ -75,7 +76,7 @@ def _over(advance: Any) -> Any:
                     change = next_moment(clock + now, p, on) - clock
                     change = change if change > now else inf
                     if steady:
-                        volts, acting = voltage(duty, (duty, clock + now), p, on), torques(joint, clock + now, x, p, on)
+                        volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, x, p, on)
                 if changes:
                     j += 1
                     acts = act_times[j] + late if j < n else inf
@@ -90,10 +91,10 @@ def _over(advance: Any) -> Any:
     return run
 
 
-_steady = _over(None)
+_steady = _over(glide, steady=True)
+_body = _over(slide, body=True)
 _one = _over(stepper(two=False, more=False, special=False))
 _two = _over(stepper(two=True, more=False, special=False))
-_more = _over(stepper(two=False, more=True, special=False))
 _all = _over(stepper(two=True, more=True, special=True))
 
 
@@ -110,13 +111,14 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     more = remembering or ending or bristly or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
     begin = np.searchsorted(act_times, times[first] - delay((), p, on), side="right")
     simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
-    if is_steady(joint, substep, on):
+    rigid = joint[0] == RIGID
+    if rigid and lag == 0.0 and is_steady(substep, on):
         _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
-    elif not simple or (more and joint[0] != RIGID):
+    elif rigid and lag == 0.0:
+        _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+    elif more or not simple:
         _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
-    elif more:
-        _more(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
-    elif joint[0] != RIGID:
-        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
-    else:
+    elif rigid:
         _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+    else:
+        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)

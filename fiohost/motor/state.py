@@ -33,3 +33,5 @@ STOP_ON, STOP = EFFECT_INDEX["hard_stop"], layout()["hard_stop"]
 
 SMALLEST_SHARE = 0.01
 SMALLEST_LAG_S = 9e-6
+# Steps in one span at the most; usual are one to ten.
+MOST_STEPS = 400

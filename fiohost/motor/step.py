@@ -59,14 +59,12 @@ from fiohost.motor.state import (
     LOAD_OMEGA,
     LOAD_THETA,
     MIDDLE,
+    MOST_STEPS,
     OMEGA,
     STANDBY,
     THETA,
     WHOLE,
 )
-
-# In one span; usual are one to ten.
-MOST_STEPS = 400
 
 
 @inlined
