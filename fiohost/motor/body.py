@@ -19,12 +19,18 @@ from fiohost.motor.hooks import (
     barred,
     breakaway,
     bristle,
+    bristles,
     carry,
+    ends,
     friction,
     inertia,
     jumped,
     load,
+    loaded,
     margin,
+    pulled,
+    remembers,
+    rubs,
     torque,
 )
 from fiohost.motor.state import (
@@ -54,21 +60,31 @@ def is_steady(substep, on):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def steady_torques(mass, time, x, p, on):  # type: ignore[no-untyped-def]
-    """What acts on the body from a time on: gain and one over it, time constant, torque, sliding friction forward and
-    in reverse, and what holds it at rest beyond that.
+def has_of(time, x, p, on):  # type: ignore[no-untyped-def]
+    """What a model has from a time on: torques, loads, states of effects' own, ends of travel, bristles, friction that
+    varies within a hold, what it is forward and in reverse where it does not, and break-away above that.
     """
-    tau = p[GAIN] * mass * inertia(1.0, (time,), p, on)
-    force = torque((0.0, 0.0, time), p, on) + load((0.0, 0.0, time), p, on)
     forward = max(friction(0.0, (0.0, 0.0, time, 0.0, 1.0), x, 0, p, on), 0.0)
     reverse = max(friction(0.0, (0.0, 0.0, time, 0.0, -1.0), x, 0, p, on), 0.0)
-    return p[GAIN], 1.0 / p[GAIN], tau, force, forward, reverse, breakaway((), p, on)
+    return (
+        pulled(on), loaded(on), remembers(on), ends(on), bristles(on), rubs(on), forward, reverse,
+        breakaway((), p, on),
+    )  # fmt: skip
 
 
 @inlined
-def glide(x, volts, mode, span, half_gap, torques):  # type: ignore[no-untyped-def]
+def steady_torques(mass, time, p, on):  # type: ignore[no-untyped-def]
+    """What acts on the body from a time on: gain and one over it, time constant and torque."""
+    tau = p[GAIN] * mass * inertia(1.0, (time,), p, on)
+    force = torque((0.0, 0.0, time), p, on) + load((0.0, 0.0, time), p, on)
+    return p[GAIN], 1.0 / p[GAIN], tau, force
+
+
+@inlined
+def glide(x, volts, mode, span, half_gap, torques, has):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant voltage, in percent, under what ``steady_torques`` says."""
-    gain, per_gain, tau, force, forward, reverse, extra = torques
+    gain, per_gain, tau, force = torques
+    _, _, _, _, _, _, forward, reverse, extra = has
     emf = mode != STANDBY
     if not emf:
         volts = 0.0
@@ -107,7 +123,7 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
     """Current, voltage, torque, sliding friction, the direction in which the body moves or would, whether a bristle
     holds it, and the share of friction, with its sign, that acts.
     """
-    pulls, loads, _, _, bristly, _ = has
+    pulls, loads, _, _, bristly, rubbing, forward, reverse, _ = has
     push, volts, _, _ = simple_winding(omega, 0.0, time, duty, mode, per_gain, 0.0, lost, x, shift, p, on)
     force = torque((theta, omega, time), p, on) if pulls else 0.0
     if loads:
@@ -120,7 +136,9 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
             slides = sign(slack)
     if slides == 0.0:
         slides = 1.0 if total > 0.0 else -1.0
-    level = max(friction(0.0, (theta, omega, time, push, slides), x, shift, p, on), 0.0)
+    level = forward if slides > 0.0 else reverse
+    if rubbing:
+        level = max(friction(0.0, (theta, omega, time, push, slides), x, shift, p, on), 0.0)
     if not bristled:
         return push, volts, force, level, slides, False, slides
     if direction == 0.0:
@@ -131,7 +149,7 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
 @inlined
 def slide(x, duty, mode, time, span, substep, joint, lost, has, p, on):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant command; the arguments are those of ``step``."""
-    _, _, remembering, ending, _, extra = has
+    _, _, remembering, ending, _, _, _, _, extra = has
     gain, per_gain, half_gap = p[GAIN], 1.0 / p[GAIN], joint[2]
     tau = gain * joint[5] * inertia(1.0, (time,), p, on)
     if lost[2] and mode == DRIVE and duty == 0.0:
@@ -151,6 +169,7 @@ def slide(x, duty, mode, time, span, substep, joint, lost, has, p, on):  # type:
                 stuck = True
         if substep > 0.0:
             half, turn, middle, amps = 0.5 * h, 0.0, 0.0, volts
+            per_half = 1.0 / half
             if not stuck:
                 net = force - level * slack
                 turn, middle, amps = one_body(
@@ -160,7 +179,7 @@ def slide(x, duty, mode, time, span, substep, joint, lost, has, p, on):  # type:
                     middle = 0.0
             shift = 0
             if remembering:
-                carry(x, MIDDLE, turn / half, 0.5 * (push + amps), half, p, on)
+                carry(x, MIDDLE, turn * per_half, 0.5 * (push + amps), half, p, on)
                 shift = MIDDLE
             push, volts, force, level, _, bristled, slack = _acting(
                 theta + turn, middle, time + half, duty, mode, direction, per_gain, lost, has, x, shift, p, on

@@ -63,8 +63,7 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
     The map never falls, and rises by ``exp(-period/tau)`` at most, so the point is one and can be bracketed.
     """
     tau = lag_s / ohms
-    steep = exp(-period / tau)
-    low, high = -most, most
+    low, high, steep = -most, most, -1.0
     if most == inf:
         high = (abs(on_volts) + abs(emf) + pause_pct) / ohms
         low = -high
@@ -74,6 +73,10 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
         end, second, counts_too = follow(top, -emf, pause_pct, ohms, tau, most, (1.0 - share) * period)
         mean = (first + second) / period
         off = end - i
+        if off == 0.0:
+            break  # it ceases in each period
+        if steep < 0.0:
+            steep = exp(-period / tau)
         if abs(off) <= CLOSE * (1.0 - steep):
             break
         if off > 0.0:

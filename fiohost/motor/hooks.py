@@ -33,10 +33,8 @@ def having(*kinds: str) -> list[Effect]:
 
 @inlined
 def share_of(fallen):  # type: ignore[no-untyped-def]
-    """``(1 - exp(-y)) / y``: how much of what it strives for a state has made after y of its time constants."""
-    if abs(fallen) < SHORT:
-        return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen * (1 / 720)))))
-    return (1.0 - exp(-fallen)) / fallen
+    """``(1 - exp(-y)) / y`` of a small y, by its series."""
+    return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen * (1 / 720)))))
 
 
 def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str = "return value") -> Any:
@@ -45,7 +43,7 @@ def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str 
     and OWN for its own state.
     """
     head = ", ".join([*arguments.split(), "p", "on"])
-    lines, names = [f"def {kind}({head}):", f"    {start}"], {"inf": inf, "share_of": share_of}
+    lines, names = [f"def {kind}({head}):", f"    {start}"], {"exp": exp, "inf": inf, "share_of": share_of, "SHORT": SHORT}
     for item in having(kind):
         begin, slot = layout()[item.name], OWN.get(item.name)
         values = "".join(f"p[{begin + i}], " for i in range(len(item.parameters)))
@@ -60,9 +58,11 @@ def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str 
     return inlined(names[kind])
 
 
-def any_of(*kinds: str) -> Any:
-    """Whether an effect with a hook of one of these kinds is in the model."""
-    places = tuple(EFFECT_INDEX[item.name] for item in having(*kinds))
+def any_of(*kinds: str, varying: bool = False) -> Any:
+    """Whether an effect with a hook of one of these kinds is in the model; ``varying``: one that a hold does not
+    freeze.
+    """
+    places = tuple(EFFECT_INDEX[e.name] for e in having(*kinds) if e.substep_s is not None or not varying)
 
     @inlined
     def found(on):  # type: ignore[no-untyped-def]
@@ -122,13 +122,17 @@ shift = 0
 z = OWN
 shift = to
 source, decay = HOOK(z, omega, amps, Q)
-OWN = z + (source - decay * z) * dt * share_of(decay * dt)
+if abs(decay) * dt < SHORT:
+    OWN = z + (source - decay * z) * dt * share_of(decay * dt)
+else:
+    OWN = source / decay + (z - source / decay) * exp(-decay * dt)
 """.strip(),
     end="return None",
 )
 opens = any_of("opens")
 pulled = any_of("torque")
 loaded = any_of("load")
+rubs = any_of("friction", varying=True)
 remembers = any_of("rate")
 bristles = any_of("bristle")
 resists = any_of("resistance")

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from fiohost.motor.body import glide, is_steady, slide, steady_torques
+from fiohost.motor.body import glide, has_of, is_steady, slide, steady_torques
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, command, coupling, delay, next_moment, voltage
+from fiohost.motor.hooks import PERIOD, bristles, command, coupling, delay, ends, next_moment, remembers, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
-from fiohost.motor.step import has_of, stepper
+from fiohost.motor.step import stepper
 
 
 @inlined
@@ -45,15 +45,16 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
     """The loop over samples and commands, with a step of the motor."""
 
     @inlined
-    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, has, p, on, states):  # type: ignore[no-untyped-def]
+    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on, states):  # type: ignore[no-untyped-def]
         late, n = delay((), p, on), act_times.shape[0]
         now = times[first]
+        has = has_of(clock + now, x, p, on)
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
         duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
         if steady:
-            volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, x, p, on)
+            volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, p, on)
         for i in range(STATE_SIZE):
             states[0, i] = x[i]
         for k in range(first + 1, last):
@@ -66,7 +67,7 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                     until, changes = change, False
                 if until > now:
                     if steady:
-                        advance(x, volts, mode, until - now, joint[2], torques)
+                        advance(x, volts, mode, until - now, joint[2], torques, has)
                     elif body:
                         advance(x, duty, mode, clock + now, until - now, substep, joint, lost, has, p, on)
                     else:
@@ -75,8 +76,9 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
                     change = change if change > now else inf
+                    has = has_of(clock + now, x, p, on)
                     if steady:
-                        volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, x, p, on)
+                        volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, p, on)
                 if changes:
                     j += 1
                     acts = act_times[j] + late if j < n else inf
@@ -106,19 +108,18 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     ``duties[j+1]`` begins to act, before any transport delay of the model. ``substep`` 0 takes each hold in one exact
     step.
     """
-    joint, has, lag, lost = joint_of(p, on), has_of(p, on), winding_lag(p, on), losses(p, on)
-    _, _, remembering, ending, bristly, _ = has
-    more = remembering or ending or bristly or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
+    joint, lag, lost = joint_of(p, on), winding_lag(p, on), losses(p, on)
+    more = remembers(on) or ends(on) or bristles(on) or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
     begin = np.searchsorted(act_times, times[first] - delay((), p, on), side="right")
     simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
     rigid = joint[0] == RIGID
     if rigid and lag == 0.0 and is_steady(substep, on):
-        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif rigid and lag == 0.0:
-        _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+        _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif more or not simple:
-        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif rigid:
-        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     else:
-        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, has, p, on, states)
+        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)

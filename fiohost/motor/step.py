@@ -33,12 +33,6 @@ from fiohost.motor.events import (
 from fiohost.motor.flow import flow
 from fiohost.motor.hooks import (
     NO_BRISTLE,
-    bristles,
-    breakaway,
-    ends,
-    loaded,
-    pulled,
-    remembers,
     barred,
     bristle,
     carry,
@@ -67,14 +61,6 @@ from fiohost.motor.state import (
 )
 
 
-@inlined
-def has_of(p, on):  # type: ignore[no-untyped-def]
-    """What there is in a model, asked once a run: torques, loads, states of effects' own, ends of travel, bristles; and
-    how much break-away is above sliding friction.
-    """
-    return pulled(on), loaded(on), remembers(on), ends(on), bristles(on), breakaway((), p, on)
-
-
 def stepper(two: bool, more: bool, special: bool) -> Any:
     """The step of a motor; what a kind of motor has not is left out of its code: ``two`` bodies, ``more`` than friction
     and torques (ends of travel, bristles, states of effects' own, a voltage or resistance that changes), a ``special``
@@ -88,7 +74,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
         """
         kind, share, half_gap, stiff, damp, usual_mass = joint
         gain, per_gain = p[GAIN], 1.0 / p[GAIN]
-        pulls, loads, remembering, ending, bristly, extra = has
+        pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra = has
         if not more:
             remembering = ending = bristly = False
             lost = (0.0, inf, False, False, False)
@@ -153,7 +139,9 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                 slides = sign(slack) if bristled else direction
                 if slides == 0.0:
                     slides = 1.0 if total > 0.0 else -1.0
-                level = max(friction(0.0, (q, w, at, push, slides), x, shift, p, on), 0.0)
+                level = forward if slides > 0.0 else reverse
+                if rubbing:
+                    level = max(friction(0.0, (q, w, at, push, slides), x, shift, p, on), 0.0)
                 if direction == 0.0:
                     direction = slides if not bristled else (1.0 if total > level * slack else -1.0)
                 if middle == 0:
