@@ -17,7 +17,7 @@ from math import copysign, exp, inf, log
 
 from fiohost.motor.compiled import inlined, part, sign
 from fiohost.motor.hooks import PERIOD, ceiling, drop, lag, opens, resistance, resists, varies, voltage
-from fiohost.motor.state import DRIVE, GAIN, SMALLEST_LAG_S, STANDBY
+from fiohost.motor.state import DRIVE, GAIN, PULSE, SMALLEST_LAG_S, STANDBY
 
 SUPPLY = 100.0
 MOST_PIECES = 4
@@ -56,6 +56,31 @@ def follow(i, push, loss, ohms, tau, most, span):  # type: ignore[no-untyped-def
     return i, charge, counts
 
 
+@inlined
+def ceasing(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, period, x, kept):  # type: ignore[no-untyped-def]
+    """Mean over a period of a current that begins each pulse at zero and is back there in the pause; inf where it is
+    not. What a pulse leaves of a gap is kept at ``kept``, as most pulses are as long as the one before.
+    """
+    tau, push = lag_s / ohms, on_volts - emf
+    if abs(emf) > pause_pct:
+        return inf  # it flows back in the pause
+    if abs(push) <= drop_pct:
+        return 0.0
+    way, span = sign(push), share * period
+    falls = emf * way + pause_pct
+    if kept < 0:
+        left = exp(-span / tau)
+    else:
+        if x[kept] != span or x[kept + 1] != tau:
+            x[kept], x[kept + 1], x[kept + 2] = span, tau, exp(-span / tau)
+        left = x[kept + 2]
+    rises = abs(push) - drop_pct
+    lasts = tau * log(1.0 + rises * (1.0 - left) / falls)
+    if lasts > period - span:
+        return inf
+    return way * (rises * span - falls * lasts) / (ohms * period)
+
+
 @part
 def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, period):  # type: ignore[no-untyped-def]
     """Mean over a period of the current that repeats itself from one to the next: the fixed point of the period's map.
@@ -90,7 +115,7 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
 
 
 @inlined
-def circuit(omega, time, duty, mode, per_gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
+def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, p, on):  # type: ignore[no-untyped-def]
     """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
     voltages under which a current along and against the motion's sign flows, and the resistance.
     """
@@ -124,9 +149,10 @@ def circuit(omega, time, duty, mode, per_gain, x, shift, lag_s, p, on):  # type:
         return settled, False, along, against, ohms
     if ripple == 0.0:
         return copysign(most, settled), True, along, against, ohms
-    return (
-        repeated(on_volts, share, lost, pause, emf, ohms, lag_s, most, p[PERIOD]), True, along, against, ohms,
-    )  # fmt: skip
+    mean = ceasing(on_volts, share, lost, pause, emf, ohms, lag_s, p[PERIOD], x, kept) if most == inf else inf
+    if mean == inf:
+        mean = repeated(on_volts, share, lost, pause, emf, ohms, lag_s, most, p[PERIOD])
+    return mean, True, along, against, ohms
 
 
 @inlined
@@ -139,7 +165,7 @@ def winding_lag(p, on):  # type: ignore[no-untyped-def]
 @inlined
 def settled_current(omega, time, duty, x, p, on):  # type: ignore[no-untyped-def]
     """Mean current in percent of stall of a driven motor at a speed, once a lag of its own is over."""
-    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, winding_lag(p, on), p, on)
+    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, -1, winding_lag(p, on), p, on)
     return mean
 
 
@@ -157,7 +183,7 @@ def winding(omega, amps, time, duty, mode, per_gain, lag, free, way, settled, x,
     none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
     in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
     """
-    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, lag, p, on)
+    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, PULSE, lag, p, on)
     if free < 0:
         free = 0
         if lag > 0.0 and not (settled and special):

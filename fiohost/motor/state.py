@@ -19,7 +19,8 @@ ONE_BODY, TWO_BODIES = 8, 53
 WHOLE = STATE_SIZE + MIDDLE
 HALF, PART = WHOLE + ONE_BODY + TWO_BODIES, WHOLE + 2 * (ONE_BODY + TWO_BODIES)
 SCRATCH = WHOLE + 3 * (ONE_BODY + TWO_BODIES)
-WORK_SIZE = SCRATCH + 6 * 16
+PULSE = SCRATCH + 6 * 16  # length of a pulse, time constant, and what the one leaves of the other
+WORK_SIZE = PULSE + 3
 
 BRAKE = 2
 DRIVE = 1
