@@ -60,32 +60,24 @@ def is_steady(substep, on):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def has_of(time, x, p, on):  # type: ignore[no-untyped-def]
-    """What a model has from a time on: torques, loads, states of effects' own, ends of travel, bristles, friction that
-    varies within a hold, what it is forward and in reverse where it does not, and break-away above that.
+def asked(mass, time, x, p, on):  # type: ignore[no-untyped-def]
+    """What stays as it is from a time on, until the plant changes: whether there are torques, loads, states of effects'
+    own, ends of travel, bristles, friction that varies within a hold; sliding friction forward and in reverse where it
+    does not, break-away above that, gain and one over it, inertia.
     """
     forward = max(friction(0.0, (0.0, 0.0, time, 0.0, 1.0), x, 0, p, on), 0.0)
     reverse = max(friction(0.0, (0.0, 0.0, time, 0.0, -1.0), x, 0, p, on), 0.0)
     return (
         pulled(on), loaded(on), remembers(on), ends(on), bristles(on), rubs(on), forward, reverse,
-        breakaway((), p, on),
+        breakaway((), p, on), p[GAIN], 1.0 / p[GAIN], mass * inertia(1.0, (time,), p, on),
     )  # fmt: skip
 
 
 @inlined
-def steady_torques(mass, time, p, on):  # type: ignore[no-untyped-def]
-    """What acts on the body from a time on: gain and one over it, time constant and torque."""
-    tau = p[GAIN] * mass * inertia(1.0, (time,), p, on)
-    force = torque((0.0, 0.0, time), p, on) + load((0.0, 0.0, time), p, on)
-    return p[GAIN], 1.0 / p[GAIN], tau, force
-
-
-@inlined
-def glide(x, volts, mode, span, half_gap, torques, has):  # type: ignore[no-untyped-def]
-    """Carry the body over a span of constant voltage, in percent, under what ``steady_torques`` says."""
-    gain, per_gain, tau, force = torques
-    _, _, _, _, _, _, forward, reverse, extra = has
-    emf = mode != STANDBY
+def glide(x, volts, mode, span, half_gap, force, has):  # type: ignore[no-untyped-def]
+    """Carry the body over a span of constant voltage, in percent, and a constant torque."""
+    _, _, _, _, _, _, forward, reverse, extra, gain, per_gain, mass = has
+    emf, tau = mode != STANDBY, gain * mass
     if not emf:
         volts = 0.0
     theta, omega, amps, left = x[THETA], x[OMEGA], volts, span
@@ -123,7 +115,7 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
     """Current, voltage, torque, sliding friction, the direction in which the body moves or would, whether a bristle
     holds it, and the share of friction, with its sign, that acts.
     """
-    pulls, loads, _, _, bristly, rubbing, forward, reverse, _ = has
+    pulls, loads, _, _, bristly, rubbing, forward, reverse, _, _, _, _ = has
     push, volts, _, _ = simple_winding(omega, 0.0, time, duty, mode, per_gain, 0.0, lost, x, shift, p, on)
     force = torque((theta, omega, time), p, on) if pulls else 0.0
     if loads:
@@ -149,9 +141,8 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
 @inlined
 def slide(x, duty, mode, time, span, substep, joint, lost, has, p, on):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant command; the arguments are those of ``step``."""
-    _, _, remembering, ending, _, _, _, _, extra = has
-    gain, per_gain, half_gap = p[GAIN], 1.0 / p[GAIN], joint[2]
-    tau = gain * joint[5] * inertia(1.0, (time,), p, on)
+    _, _, remembering, ending, _, _, _, _, extra, gain, per_gain, mass = has
+    half_gap, tau = joint[2], gain * mass
     if lost[2] and mode == DRIVE and duty == 0.0:
         mode = STANDBY
     emf, theta, omega, amps, left = mode != STANDBY, x[THETA], x[OMEGA], x[CURRENT], span

@@ -219,3 +219,9 @@ def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-d
         return turn, after, flowing, twist + turn, 0.0
     rate = beyond / other
     return turn, after, flowing, twist + turn - (load_omega + 0.5 * rate * h) * h, load_omega + rate * h
+
+
+@part
+def flow_again(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-def]
+    """``flow``, called where it is rarely needed."""
+    return flow(motion, forces, bodies, regime, h, x, at)

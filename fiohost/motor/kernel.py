@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from fiohost.motor.body import glide, has_of, is_steady, slide, steady_torques
+from fiohost.motor.body import asked, glide, is_steady, slide
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, bristles, command, coupling, delay, ends, next_moment, remembers, voltage
+from fiohost.motor.hooks import PERIOD, bristles, command, coupling, delay, ends, load, next_moment, remembers, torque, voltage
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.step import stepper
 
@@ -48,13 +48,14 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
     def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on, states):  # type: ignore[no-untyped-def]
         late, n = delay((), p, on), act_times.shape[0]
         now = times[first]
-        has = has_of(clock + now, x, p, on)
+        has = asked(joint[5], clock + now, x, p, on)
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
         duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
         if steady:
-            volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, p, on)
+            volts, at = voltage(duty, (duty, clock + now), p, on), (0.0, 0.0, clock + now)
+            force = torque(at, p, on) + load(at, p, on)
         for i in range(STATE_SIZE):
             states[0, i] = x[i]
         for k in range(first + 1, last):
@@ -67,7 +68,7 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                     until, changes = change, False
                 if until > now:
                     if steady:
-                        advance(x, volts, mode, until - now, joint[2], torques, has)
+                        advance(x, volts, mode, until - now, joint[2], force, has)
                     elif body:
                         advance(x, duty, mode, clock + now, until - now, substep, joint, lost, has, p, on)
                     else:
@@ -76,9 +77,10 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
                     change = change if change > now else inf
-                    has = has_of(clock + now, x, p, on)
+                    has = asked(joint[5], clock + now, x, p, on)
                     if steady:
-                        volts, torques = voltage(duty, (duty, clock + now), p, on), steady_torques(joint[5], clock + now, p, on)
+                        volts, at = voltage(duty, (duty, clock + now), p, on), (0.0, 0.0, clock + now)
+                        force = torque(at, p, on) + load(at, p, on)
                 if changes:
                     j += 1
                     acts = act_times[j] + late if j < n else inf
@@ -95,8 +97,8 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
 
 _steady = _over(glide, steady=True)
 _body = _over(slide, body=True)
-_one = _over(stepper(two=False, more=False, special=False))
 _two = _over(stepper(two=True, more=False, special=False))
+_open = _over(stepper(two=False, more=False, special=True))
 _all = _over(stepper(two=True, more=True, special=True))
 
 
@@ -117,9 +119,9 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
         _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif rigid and lag == 0.0:
         _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+    elif rigid and not simple and not (remembers(on) or ends(on) or bristles(on) or lost[3] or lost[4]):
+        _open(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif more or not simple:
         _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
-    elif rigid:
-        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     else:
         _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)

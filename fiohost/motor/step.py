@@ -30,14 +30,13 @@ from fiohost.motor.events import (
     locate,
     strain_of,
 )
-from fiohost.motor.flow import flow
+from fiohost.motor.flow import flow, flow_again
 from fiohost.motor.hooks import (
     NO_BRISTLE,
     barred,
     bristle,
     carry,
     friction,
-    inertia,
     jumped,
     load,
     opens,
@@ -47,7 +46,6 @@ from fiohost.motor.state import (
     CONTACT,
     CURRENT,
     DRIVE,
-    GAIN,
     HALF,
     HELD,
     LOAD_OMEGA,
@@ -72,16 +70,14 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
         """Carry the motor over a span of constant command. ``joint`` is what joins the load, as ``kernel.joint_of`` says;
         ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
         """
-        kind, share, half_gap, stiff, damp, usual_mass = joint
-        gain, per_gain = p[GAIN], 1.0 / p[GAIN]
-        pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra = has
+        kind, share, half_gap, stiff, damp, _ = joint
+        pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra, gain, per_gain, mass = has
         if not more:
             remembering = ending = bristly = False
-            lost = (0.0, inf, False, False, False)
+            lost = (0.0, inf, False, False, False) if not special else lost
         if lost[2] and mode == DRIVE and duty == 0.0:
             mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
         lossy = special and loses(mode, p, on)
-        mass = usual_mass * inertia(1.0, (time,), p, on)
         own, other = mass * (1.0 - share), mass * share
         bodies = (gain, per_gain, mass, own, other, stiff, damp, half_gap)
         left, released = span, False
@@ -192,7 +188,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                 # What holds it grew with its start.
                 stuck = True
                 regime = (joined, sprung, True, stuck_load, regime[4], regime[5], regime[6], contact)
-                end = flow(motion, forces, bodies, regime, h, x, WHOLE)
+                end = flow_again(motion, forces, bodies, regime, h, x, WHOLE)
             place = (kind, load_at, direction, hold, harder, rest, bristled, ending)
             found, event = judge(end, motion, forces, bodies, regime, current, place, p, on)
             happens = found < 0.0 and k < MOST_STEPS - 1  # no time is lost, whatever absurd constants do
