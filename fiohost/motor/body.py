@@ -60,23 +60,29 @@ def is_steady(substep, on):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def asked(mass, time, x, p, on):  # type: ignore[no-untyped-def]
+def asked(joint, time, x, p, on):  # type: ignore[no-untyped-def]
     """What stays as it is from a time on, until the plant changes: whether there are torques, loads, states of effects'
     own, ends of travel, bristles, friction that varies within a hold; sliding friction forward and in reverse where it
-    does not, break-away above that, gain and one over it, inertia.
+    does not, break-away above that; and the bodies: gain and one over it, inertia of all, of the motor and of the load,
+    one over these two, stiffness, damping and half the gap of what joins them.
     """
+    _, share, half_gap, stiff, damp, mass = joint
+    mass *= inertia(1.0, (time,), p, on)
+    own, other = mass * (1.0 - share), mass * share
+    per_other = 1.0 / other if other > 0.0 else 0.0
+    bodies = (p[GAIN], 1.0 / p[GAIN], mass, own, other, 1.0 / own, per_other, stiff, damp, half_gap)
     forward = max(friction(0.0, (0.0, 0.0, time, 0.0, 1.0), x, 0, p, on), 0.0)
     reverse = max(friction(0.0, (0.0, 0.0, time, 0.0, -1.0), x, 0, p, on), 0.0)
     return (
         pulled(on), loaded(on), remembers(on), ends(on), bristles(on), rubs(on), forward, reverse,
-        breakaway((), p, on), p[GAIN], 1.0 / p[GAIN], mass * inertia(1.0, (time,), p, on),
+        breakaway((), p, on), bodies,
     )  # fmt: skip
 
 
 @inlined
-def glide(x, volts, mode, span, half_gap, force, has):  # type: ignore[no-untyped-def]
+def glide(x, volts, mode, span, force, has):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant voltage, in percent, and a constant torque."""
-    _, _, _, _, _, _, forward, reverse, extra, gain, per_gain, mass = has
+    _, _, _, _, _, _, forward, reverse, extra, (gain, per_gain, mass, _, _, _, _, _, _, half_gap) = has
     emf, tau = mode != STANDBY, gain * mass
     if not emf:
         volts = 0.0
@@ -115,7 +121,7 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
     """Current, voltage, torque, sliding friction, the direction in which the body moves or would, whether a bristle
     holds it, and the share of friction, with its sign, that acts.
     """
-    pulls, loads, _, _, bristly, rubbing, forward, reverse, _, _, _, _ = has
+    pulls, loads, _, _, bristly, rubbing, forward, reverse, _, _ = has
     push, volts, _, _ = simple_winding(omega, 0.0, time, duty, mode, per_gain, 0.0, lost, x, shift, p, on)
     force = torque((theta, omega, time), p, on) if pulls else 0.0
     if loads:
@@ -139,10 +145,10 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
 
 
 @inlined
-def slide(x, duty, mode, time, span, substep, joint, lost, has, p, on):  # type: ignore[no-untyped-def]
+def slide(x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore[no-untyped-def]
     """Carry the body over a span of constant command; the arguments are those of ``step``."""
-    _, _, remembering, ending, _, _, _, _, extra, gain, per_gain, mass = has
-    half_gap, tau = joint[2], gain * mass
+    _, _, remembering, ending, _, _, _, _, extra, (gain, per_gain, mass, _, _, _, _, _, _, half_gap) = has
+    tau = gain * mass
     if lost[2] and mode == DRIVE and duty == 0.0:
         mode = STANDBY
     emf, theta, omega, amps, left = mode != STANDBY, x[THETA], x[OMEGA], x[CURRENT], span

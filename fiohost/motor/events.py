@@ -27,7 +27,7 @@ ALIKE = 1e-9
 @inlined
 def strain_of(twist, closing, contact, bodies):  # type: ignore[no-untyped-def]
     """Torque of a spring whose play is closed on one side, in percent; ``closing`` is the rate of the twist."""
-    _, _, _, _, _, stiff, damp, half_gap = bodies
+    _, _, _, _, _, _, _, stiff, damp, half_gap = bodies
     return stiff * (twist - contact * half_gap) + damp * closing
 
 
@@ -37,7 +37,7 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
     turn, w, i, s, v = end
     omega, amps, _, _ = motion
     volts, force, beyond = forces
-    _, per_gain, _, own, other, stiff, _, half_gap = bodies
+    _, per_gain, _, _, _, per_own, per_other, stiff, _, half_gap = bodies
     joined, sprung, stuck, stuck_load, emf, lag, _, contact = regime
     until, way, lossy = current
     kind, load_at, direction, hold, harder, rest, bristled, ending = place
@@ -55,8 +55,9 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
     elif kind == PLAY and not stuck:
         # What is taken at the step's middle may have them apart at its beginning: then the next step begins with that.
         began = amps if lag > 0.0 else volts - (omega * per_gain if emf else 0.0)
-        apart, tiny = contact * ((i + force) / own - beyond / other), ALIKE * (abs(force) / own + abs(beyond) / other)
-        if apart < min(found, -tiny) and contact * ((began + force) / own - beyond / other) > -tiny:
+        rate = beyond * per_other
+        apart, tiny = contact * ((i + force) * per_own - rate), ALIKE * (abs(force) * per_own + abs(rate))
+        if apart < min(found, -tiny) and contact * ((began + force) * per_own - rate) > -tiny:
             found, event = apart, PARTING
     elif kind == SPRING and half_gap > 0.0:
         if sprung:

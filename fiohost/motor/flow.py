@@ -194,7 +194,7 @@ def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-d
     """Angle turned by the motor and speed, current, twist and load speed after ``h`` in a regime."""
     omega, amps, twist, load_omega = motion
     volts, force, beyond = forces
-    gain, per_gain, mass, own, other, stiff, damp, half_gap = bodies
+    gain, per_gain, mass, own, other, _, per_other, stiff, damp, half_gap = bodies
     joined, sprung, stuck, stuck_load, emf, lag, ohms, contact = regime
     if sprung:
         held = (1 if stuck else 0) + (2 if stuck_load else 0) + (4 if emf else 0)
@@ -217,7 +217,7 @@ def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-d
         return turn, after, flowing, twist, after
     if stuck_load:
         return turn, after, flowing, twist + turn, 0.0
-    rate = beyond / other
+    rate = beyond * per_other
     return turn, after, flowing, twist + turn - (load_omega + 0.5 * rate * h) * h, load_omega + rate * h
 
 

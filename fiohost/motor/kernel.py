@@ -48,7 +48,7 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
     def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on, states):  # type: ignore[no-untyped-def]
         late, n = delay((), p, on), act_times.shape[0]
         now = times[first]
-        has = asked(joint[5], clock + now, x, p, on)
+        has = asked(joint, clock + now, x, p, on)
         change = next_moment(clock + now, p, on) - clock
         j = np.searchsorted(act_times, now - late, side="right")
         acts = act_times[j] + late if j < n else inf
@@ -68,16 +68,16 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                     until, changes = change, False
                 if until > now:
                     if steady:
-                        advance(x, volts, mode, until - now, joint[2], force, has)
+                        advance(x, volts, mode, until - now, force, has)
                     elif body:
-                        advance(x, duty, mode, clock + now, until - now, substep, joint, lost, has, p, on)
+                        advance(x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
                     else:
-                        advance(x, duty, mode, clock + now, until - now, substep, joint, lag, lost, has, p, on)
+                        advance(x, duty, mode, clock + now, until - now, substep, joint[0], lag, lost, has, p, on)
                 now = until
                 if now >= change:
                     change = next_moment(clock + now, p, on) - clock
                     change = change if change > now else inf
-                    has = asked(joint[5], clock + now, x, p, on)
+                    has = asked(joint, clock + now, x, p, on)
                     if steady:
                         volts, at = voltage(duty, (duty, clock + now), p, on), (0.0, 0.0, clock + now)
                         force = torque(at, p, on) + load(at, p, on)

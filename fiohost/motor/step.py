@@ -66,20 +66,18 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
     """
 
     @inlined
-    def advance(x, duty, mode, time, span, substep, joint, lag, lost, has, p, on):  # type: ignore[no-untyped-def]
-        """Carry the motor over a span of constant command. ``joint`` is what joins the load, as ``kernel.joint_of`` says;
+    def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, p, on):  # type: ignore[no-untyped-def]
+        """Carry the motor over a span of constant command. ``kind`` is what joins the load, as ``kernel.joint_of`` says;
         ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
         """
-        kind, share, half_gap, stiff, damp, _ = joint
-        pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra, gain, per_gain, mass = has
+        pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra, bodies = has
+        _, per_gain, mass, own, other, per_own, per_other, stiff, damp, half_gap = bodies
         if not more:
             remembering = ending = bristly = False
             lost = (0.0, inf, False, False, False) if not special else lost
         if lost[2] and mode == DRIVE and duty == 0.0:
             mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
         lossy = special and loses(mode, p, on)
-        own, other = mass * (1.0 - share), mass * share
-        bodies = (gain, per_gain, mass, own, other, stiff, damp, half_gap)
         left, released = span, False
         for k in range(MOST_STEPS):
             if left <= 0.0:
@@ -147,7 +145,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                         stuck = held or not (bristled or released or abs(total) > hold)
                     if two and kind == PLAY and joined:
                         # In contact they stay together unless each by itself would go its own way.
-                        alone, rate = push + rest, beyond / other
+                        alone, rate = push + rest, beyond * per_other
                         if bristled:
                             alone -= level * slack
                         elif omega == 0.0 and abs(alone) <= hold:
@@ -156,7 +154,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                             alone -= level * (sign(omega) if omega != 0.0 else sign(alone))
                         if ending and omega == 0.0 and barred((load_at, sign(beyond)), p, on):
                             rate = 0.0
-                        parts = contact * (alone / own - rate) < -ALIKE * (abs(alone) / own + abs(rate))
+                        parts = contact * (alone * per_own - rate) < -ALIKE * (abs(alone) * per_own + abs(rate))
                     elif not joined and ending and load_omega == 0.0:
                         pull = beyond + (strain_of(twist, omega, contact, bodies) if sprung else 0.0)
                         stuck_load = barred((load_at, sign(pull)), p, on)
