@@ -11,7 +11,7 @@ from math import isnan
 
 from fiohost.motor.compiled import inlined, part, sign
 from fiohost.motor.electrics import simple_winding
-from fiohost.motor.events import LOOKS, RIGID, SURE_S
+from fiohost.motor.events import LOOKS, SURE_S
 from fiohost.motor.flow import one_body, time_to_rest
 from fiohost.motor.hooks import (
     NO_BRISTLE,
@@ -169,9 +169,7 @@ def slide(x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore
             per_half = 1.0 / half
             if not stuck:
                 net = force - level * slack
-                turn, middle, amps = one_body(
-                    omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, half, x, HALF
-                )
+                turn, middle, amps = one_body(omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, half, x, HALF)
                 if middle * direction < 0.0 and not (bristled and omega == 0.0):
                     middle = 0.0
             shift = 0

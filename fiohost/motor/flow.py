@@ -141,7 +141,25 @@ def _pushed(m, at, b0, b1, b3):  # type: ignore[no-untyped-def]
 
 @part
 def two_bodies(  # type: ignore[no-untyped-def]
-    omega, amps, twist, load_omega, volts, force, load, stiff, damp, gain, per_gain, own, other, lag, ohms, kind, dt, x, at
+    omega,
+    amps,
+    twist,
+    load_omega,
+    volts,
+    force,
+    load,
+    stiff,
+    damp,
+    gain,
+    per_gain,
+    own,
+    other,
+    lag,
+    ohms,
+    kind,
+    dt,
+    x,
+    at,
 ):
     """Angle turned by the motor, speed, current, twist and load speed after dt of two bodies on a spring.
 

@@ -32,8 +32,8 @@ def having(*kinds: str) -> list[Effect]:
 
 
 @inlined
-def share_of(fallen):  # type: ignore[no-untyped-def]
-    """``(1 - exp(-y)) / y`` of a small y, by its series."""
+def _made(fallen):  # type: ignore[no-untyped-def]
+    """``(1 - exp(-y)) / y`` of a small y, by its series: the way that a state has made after y time constants."""
     return 1.0 - fallen * (1 / 2 - fallen * (1 / 6 - fallen * (1 / 24 - fallen * (1 / 120 - fallen * (1 / 720)))))
 
 
@@ -43,7 +43,8 @@ def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str 
     and OWN for its own state.
     """
     head = ", ".join([*arguments.split(), "p", "on"])
-    lines, names = [f"def {kind}({head}):", f"    {start}"], {"exp": exp, "inf": inf, "share_of": share_of, "SHORT": SHORT}
+    lines = [f"def {kind}({head}):", f"    {start}"]
+    names: dict[str, Any] = {"exp": exp, "inf": inf, "made": _made, "SHORT": SHORT}
     for item in having(kind):
         begin, slot = layout()[item.name], OWN.get(item.name)
         values = "".join(f"p[{begin + i}], " for i in range(len(item.parameters)))
@@ -52,9 +53,11 @@ def _joined(kind: str, arguments: str, link: str, start: str = "pass", end: str 
             words[word] = f"{hook}_{item.name}"
             if getattr(item, hook):
                 names[words[word]] = inlined(getattr(item, hook))
-        told = re.sub(r"\b(HOOK|EVENT|Q|OWN)\b", lambda found, words=words: words[found[0]], link)
+        told = link
+        for word, meant in words.items():
+            told = re.sub(rf"\b{word}\b", meant, told)
         lines += [f"    if on[{EFFECT_INDEX[item.name]}]:", *(f"        {line}" for line in told.splitlines())]
-    exec("\n".join([*lines, f"    {end}"]), names)  # noqa: S102 (of this package's own names alone)
+    exec("\n".join([*lines, f"    {end}"]), names)  # of this package's own names alone
     return inlined(names[kind])
 
 
@@ -123,7 +126,7 @@ z = OWN
 shift = to
 source, decay = HOOK(z, omega, amps, Q)
 if abs(decay) * dt < SHORT:
-    OWN = z + (source - decay * z) * dt * share_of(decay * dt)
+    OWN = z + (source - decay * z) * dt * made(decay * dt)
 else:
     OWN = source / decay + (z - source / decay) * exp(-decay * dt)
 """.strip(),

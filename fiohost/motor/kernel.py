@@ -20,7 +20,19 @@ from fiohost.motor.body import asked, glide, is_steady, slide
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
-from fiohost.motor.hooks import PERIOD, bristles, command, coupling, delay, ends, load, next_moment, remembers, torque, voltage
+from fiohost.motor.hooks import (
+    PERIOD,
+    bristles,
+    command,
+    coupling,
+    delay,
+    ends,
+    load,
+    next_moment,
+    remembers,
+    torque,
+    voltage,
+)
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
 from fiohost.motor.step import stepper
 

@@ -39,7 +39,6 @@ from fiohost.motor.hooks import (
     friction,
     jumped,
     load,
-    opens,
     torque,
 )
 from fiohost.motor.state import (
@@ -67,11 +66,11 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
 
     @inlined
     def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, p, on):  # type: ignore[no-untyped-def]
-        """Carry the motor over a span of constant command. ``kind`` is what joins the load, as ``kernel.joint_of`` says;
-        ``has`` what there is: a winding that is more than a resistance, states of effects' own, ends of travel.
+        """Carry the motor over a span of constant command. ``kind`` is what joins the load, ``lost`` what
+        ``electrics.losses`` says of the winding, ``has`` what ``body.asked`` says.
         """
         pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra, bodies = has
-        _, per_gain, mass, own, other, per_own, per_other, stiff, damp, half_gap = bodies
+        _, per_gain, mass, own, other, per_own, per_other, _, _, half_gap = bodies
         if not more:
             remembering = ending = bristly = False
             lost = (0.0, inf, False, False, False) if not special else lost
@@ -110,9 +109,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
                         w, i, at, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
                     )
                 else:
-                    push, volts, ohms, free = simple_winding(
-                        w, i, at, duty, mode, per_gain, lag, lost, x, shift, p, on
-                    )
+                    push, volts, ohms, free = simple_winding(w, i, at, duty, mode, per_gain, lag, lost, x, shift, p, on)
                 if middle == 0 and free != 1:
                     amps, settled = push, free == 2
                     motion = (omega, amps, twist, load_omega)
@@ -236,4 +233,3 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
             time += h
 
     return advance
-
