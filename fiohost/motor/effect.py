@@ -43,7 +43,8 @@ In time, and at the sensor:
 ``measure(theta_deg, q)``
     the angle that the encoder shows.
 
-``q`` is the array of the effect's own parameters in their declared order.
+``q`` are the effect's own parameters in their declared order. Hooks of an effect without ``substep_s`` depend on
+nothing that changes within a hold, neither angle nor speed nor current, nor on time but by a ``moment``.
 """
 
 from __future__ import annotations
