@@ -29,7 +29,9 @@ class Run:
 
 def run(step_s: float = STEP_S, rows: int = ROWS, both_ways: bool = True) -> Run:
     """Steps of duty on a motor with lag, simulated exactly."""
-    levels = np.array([40.0, -30.0, 60.0, -55.0, 20.0, 0.0]) if both_ways else np.array([40.0, 30.0, 60.0, 55.0, 20.0, 45.0])
+    levels = (
+        np.array([40.0, -30.0, 60.0, -55.0, 20.0, 0.0]) if both_ways else np.array([40.0, 30.0, 60.0, 55.0, 20.0, 45.0])
+    )
     duty = np.repeat(levels, -(-rows // len(levels)))[:rows]
     keep = np.exp(-step_s / LAG_S)
     speed, angle = np.zeros(rows), np.zeros(rows)
@@ -101,7 +103,9 @@ def _simulink(path: Path) -> None:
     from scipy.io import savemat
 
     r = run()
-    savemat(path, {"t": r.time_s[:, None], "duty_pct": r.duty[:, None], "angle_deg": r.angle[:, None], "meta": "bench 3"})
+    savemat(
+        path, {"t": r.time_s[:, None], "duty_pct": r.duty[:, None], "angle_deg": r.angle[:, None], "meta": "bench 3"}
+    )
 
 
 def _mat73(path: Path) -> None:
@@ -121,7 +125,11 @@ def _hdf5(path: Path) -> None:
     r = run()
     with h5py.File(path, "w") as file:
         group = file.create_group("run1")
-        for name, unit, values in (("time", "ms", 1e3 * r.time_s), ("duty", "%", r.duty), ("speed", "rpm", r.speed / 6.0)):
+        for name, unit, values in (
+            ("time", "ms", 1e3 * r.time_s),
+            ("duty", "%", r.duty),
+            ("speed", "rpm", r.speed / 6.0),
+        ):
             group.create_dataset(name, data=values).attrs["units"] = unit
 
 
@@ -135,7 +143,10 @@ def _parquet(path: Path) -> None:
 
 def _repeated(path: Path) -> None:
     r = run()
-    rows = [f"22.11.2026 {_clock(np.floor(t + 1e-9))[:8]};{german(u)};{german(a)}" for t, u, a in zip(r.time_s, r.duty, r.angle, strict=True)]
+    rows = [
+        f"22.11.2026 {_clock(np.floor(t + 1e-9))[:8]};{german(u)};{german(a)}"
+        for t, u, a in zip(r.time_s, r.duty, r.angle, strict=True)
+    ]
     path.write_text("\n".join(["Zeit;Tastgrad [%];Winkel [Grad]", *rows]) + "\n", encoding="utf-8")
 
 

@@ -198,6 +198,8 @@ def test_an_effect_that_a_hold_freezes_depends_on_nothing_that_changes_within_it
         assert len({hook(*state, q) for state in states}) == 1
     for direction in (1.0, -1.0) if item.friction else ():
         assert len({item.friction(3.0, *state, state[1] / 9.0, direction, 0.0, q) for state in states}) == 1  # type: ignore[misc]
-    assert item.rate is None and item.resistance is None and item.bristle is None
+    assert item.rate is None
+    assert item.resistance is None
+    assert item.bristle is None
     if item.voltage:
         assert len({item.voltage(40.0, 40.0, time, q) for *_, time in states}) == 1

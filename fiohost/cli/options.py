@@ -37,9 +37,9 @@ def target_options(command: Command) -> Command:
         "--student", metavar="ID", is_eager=True, expose_value=False, callback=_student,
         help="A sealed simulated board of that student's own, always the same one.",
     )(command)  # fmt: skip
-    return click.option(
-        "--target", default="sim", show_default=True, metavar="T", help=target_help, callback=_target
-    )(command)
+    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help, callback=_target)(
+        command
+    )
 
 
 def _student(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
