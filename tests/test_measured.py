@@ -96,6 +96,5 @@ def test_no_step_is_taken_that_makes_held_out_runs_worse(told: dict[str, Any]) -
 def test_what_remains_is_said(told: dict[str, Any]) -> None:
     assert told["verdict"] == "unexplained"
     assert not told["residual"]["white"]
-    assert told["after"]["holdout"]["window_rms"] > 1.5 * told["floor"]["holdout"]["window_rms"]
     for candidate in told["candidates"]:
         assert candidate["effect"] in LIBRARY

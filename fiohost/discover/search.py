@@ -339,14 +339,14 @@ class Search:
         found, records = state.fit, self.objective.records
         if any(found.model.parameter(n).ragged for n in found.names) and not self.stage(Node(state)).at_floor:
             better = searched_again(found, records)
-            if better.cost < found.cost and not objection(better, better.model.effects[-1]):
+            if better.cost < found.cost and not _doubted(better):
                 found = better
         state = self.objective.settled(found)
         stage = self.stage(Node(state))
         if stage.follows or stage.windows_above_floor > self.settings.stuck:
             return state
         better = unstuck(found, records, self.rng)
-        if better.cost >= found.cost or objection(better, better.model.effects[-1]):
+        if better.cost >= found.cost or _doubted(better):
             return state
         return self.objective.settled(better)
 
@@ -395,3 +395,8 @@ class Search:
         ruled = any(d.significant and d.r2 > self.settings.follows and d.variable != "time" for d in follows)
         uneven = unevenness(state.fit.residuals, [r.windows for r in state.records])
         return is_white(uneven, null.unevenness) and not ruled
+
+
+def _doubted(found: Fit) -> bool:
+    """Whether something speaks against the effect that was added last."""
+    return any(objection(found, name) for name in found.model.effects[-1:])
