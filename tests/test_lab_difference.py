@@ -26,10 +26,11 @@ def lab(target: str, folder: Path, gains: tuple[float, ...]) -> LabResult:
         return LabResult("position-control", "loop", target, files=dict(session.logs))
 
 
-def test_what_the_labs_target_has_beside_its_model_is_named(tmp_path: Path) -> None:
+def test_what_the_labs_target_has_beside_its_model_is_seen_and_nothing_else_is_named(tmp_path: Path) -> None:
     result = with_difference(lab("sim:nxt_lego", tmp_path, (1.5, 5.0)), Q.model())
     found = result.values["difference"]
-    assert {"coulomb_friction", "input_deadband"} & set(found["effects"])
+    assert found["verdict"] != "no_missing_effect"
+    assert set(found["effects"]) <= {"coulomb_friction", "input_deadband"}
     (answer,) = (a.answer for a in result.answers if a.question == QUESTION)
     assert "friction" in answer
     assert "fiohost diagnose" in answer
