@@ -132,8 +132,10 @@ class Search:
 
     def exchanged(self, best: Node) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
-        were missing.
+        were missing. Beside what whole runs do not follow nothing can be told by them.
         """
+        if not self.objective.windows and not self.explains(best):
+            return best
         for earlier in best.added[:-1]:
             if earlier not in best.added:
                 continue
