@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from fiohost import __version__
+from fiohost.advice.limit import SCHEMA, SHIPPED, Limit, Measured
 from fiohost.bench.connect import connect
 from fiohost.circle.detection import smallest_visible
 from fiohost.circle.plan import log_names, suite
-from fiohost.discover.limit import SCHEMA, SHIPPED, Limit, Measured
 from fiohost.errors import DataError
 from fiohost.motor.effect import Value
 

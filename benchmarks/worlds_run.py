@@ -86,25 +86,27 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
     """
     import numpy as np
 
-    from fiohost.discover.likelihood import Selection
-    from fiohost.discover.whitened import plain, settle, with_noise
-    from fiohost.estimation.fit import fit_from_scratch
+    from fiohost.discover.null import draw_null
+    from fiohost.discover.objective import Windows
+    from fiohost.discover.screen import Screen, candidates
+    from fiohost.estimation.fit import fit, fit_from_scratch
     from fiohost.estimation.record import record_from_log
     from fiohost.motor.model import Model
 
-    chosen = Selection([record_from_log(log) for log in train], np.random.default_rng(0), None, lambda text: None)
-    base = fit_from_scratch(Model.parse(DECLARED), chosen.records)
-    without = settle(base.model, chosen.records, base.starts)
-    model = Model.parse(DECLARED).with_values({k: v for k, v in base.model.values.items()})
+    windows = Windows([record_from_log(log) for log in train])
+    without = windows.settled(fit_from_scratch(Model.parse(DECLARED), windows.records, windows=True))
+    model = without.fit.model
     for name in case.truth:
         model = model.with_effect(name, case.reduced[name])
     linear = {f"linear.{k}": v for k, v in case.reduced["linear"].items()}
     friction = case.reduced.get("coulomb_friction", {})
     kept = {f"coulomb_friction.{k}": v for k, v in friction.items() if "coulomb_friction" in model.effects}
-    true = settle(model.with_values({**linear, **kept}), chosen.records, None, without.moving)
-    records = with_noise(plain(chosen.records), without.fit.model, true.noise, without.moving)
-    chance = chosen.chance(chosen.under(without.fit, records), records)
-    return {"gain": without.deviance - true.deviance, "chance": chance.level}
+    true = windows.settled(fit(model.with_values({**linear, **kept}), windows.records, windows=True))
+    null = windows.null(without, true)
+    screen = Screen(null.fit, null.records)
+    scores = [screen.score(e) for e in candidates(null.fit.model, windows.records)]
+    level = draw_null(windows, null, screen, scores, np.random.default_rng(0)).level
+    return {"gain": without.deviance - true.deviance, "chance": level}
 
 
 def ask_oracle(row: Row) -> Row:

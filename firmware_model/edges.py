@@ -60,9 +60,7 @@ def run_edges(y, r, m, w, until, p, on):  # type: ignore[no-untyped-def]
             whole = int((until - r[TIME]) / period + NEAR)
             passed = leap(y, w, m, p, duty, share, whole) if whole > 0 else 0
             if passed > 0:
-                r[TIME] = (
-                    until if until - (number + passed) * period < NEAR * period else (number + passed) * period
-                )
+                r[TIME] = until if until - (number + passed) * period < NEAR * period else (number + passed) * period
                 m[STEPS] += 1
                 continue
         edge = share if m[PHASE] == ON else 1.0

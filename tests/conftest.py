@@ -18,10 +18,11 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def pytest_configure() -> None:
-    """Tests of signals need them heard: under nohup a hang-up is ignored, in the background of a shell script Ctrl-C,
-    and so it is in all children.
+    """Tests of signals need them heard: under nohup a hang-up is ignored, in the background of a shell script Ctrl-C
+    and Ctrl-\\, and so it is in all children.
     """
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -207,3 +207,61 @@ def test_the_command_saves_constants_that_the_experiments_take(tmp_path: Path) -
     )
     assert sealed.exit_code == 1
     assert "nothing but its wire" in sealed.stderr
+
+
+# ---- inductance, speed against torque ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("target", "true_H", "supply_V"), [("sim:nxt_no_load", 0.0047, 4.5), ("sim", 0.015, 9.0)])
+def test_the_saved_inductance_is_the_one_in_the_board(
+    target: str, true_H: float, supply_V: float, tmp_path: Path
+) -> None:
+    saved = tmp_path / "motor.toml"
+    arguments = ["lab", "characterise", "--target", target, "--save", str(saved), "--report", str(tmp_path / "lab")]
+    answer = CliRunner().invoke(cli, [*arguments, "--json", str(tmp_path / "told.json")])
+    assert answer.exit_code == 0, answer.output
+    told = json.loads((tmp_path / "told.json").read_text())
+    motor = MotorConstants.load(str(saved))
+    assert abs(motor.L_H - true_H) < 0.02 * true_H
+    assert told["values"]["speed_torque_slope_rad_s_per_Nm"] == pytest.approx(-1.0 / motor.damping_Nms, rel=0.01)
+    by_power = [row["B_Nms"] for row in told["values"]["friction_by_power"]]
+    assert (by_power[0] > 3.0 * by_power[-1]) == (target == "sim")  # Fig. D-22: friction that is dry falls with power
+    assert (tmp_path / "lab" / "characterise_curves.png").stat().st_size > 10_000
+    again = Readings.load(tmp_path / "lab" / "readings.toml")
+    assert len(again.rise) == 12
+    assert len(again.lift_speed) == len(again.lift)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected_H"),
+    [
+        ("{ inductance_H = 0.0051 }", 0.0051),
+        ("{ series_ohm = 2.2, time_s = 0.00105 }", None),
+    ],
+)
+def test_an_inductance_by_a_meter_or_by_the_decay_with_a_known_resistor_is_taken(
+    row: str, expected_H: float | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "readings.toml"
+    path.write_text(without_inductance() + f"\ninductance = [ {row} ]\n")
+    found, _ = solve(Readings.load(path))
+    by_decay = 0.00105 * (2.2 + found["Ra"].value)
+    assert found["La"].value == pytest.approx(by_decay if expected_H is None else expected_H, rel=1e-9)
+
+
+def without_inductance() -> str:
+    return "\n".join(line for line in PRINTED.read_text().splitlines() if not line.startswith("inductance"))
+
+
+def test_without_any_reading_of_the_inductance_no_set_is_written(tmp_path: Path) -> None:
+    bare = tmp_path / "bare.toml"
+    bare.write_text(without_inductance())
+    arguments = ["lab", "characterise", "--readings", str(bare), "--save", str(tmp_path / "m.toml")]
+    answer = CliRunner().invoke(cli, [*arguments, "--report", str(tmp_path / "lab")])
+    assert answer.exit_code == 1
+    assert "no reading tells the inductance" in answer.stderr
+    answer = CliRunner().invoke(
+        cli, [*arguments, "--inductance", "0.0047", "--report", str(tmp_path / "lab2")], catch_exceptions=False
+    )
+    assert answer.exit_code == 0, answer.stderr
+    assert MotorConstants.load(str(tmp_path / "m.toml")).L_H == 0.0047

@@ -335,7 +335,7 @@ def test_a_model_file_with_an_unknown_key_is_refused_with_the_nearest_one(
         ("# schema: fiohost.log/1\n", "no rows"),
         ("time_s,duty_pct,pos\n", "no whole row"),
         ("time_s,duty_pct,pos\n0,0,1\n0.005,0,1\n", "too few"),
-        ("t,u,y\n0,1,2\n1,2,3\n", "time_s"),
+        ("t,u,y\n0,1,2\n1,2,3\n", "unknown is the unit of the output 'y'"),
         ("\x89PNG\r\n\x1a\n\0\0\0", "not a log"),
     ],
 )

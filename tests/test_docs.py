@@ -12,12 +12,12 @@ import click
 import pytest
 
 from fiohost.bench.experiment import Experiment
-from fiohost.bench.imports import TableMap
 from fiohost.bench.profile import BenchProfile
 from fiohost.bench.signals import KINDS
 from fiohost.circle.readings import read_readings
 from fiohost.cli.main import COMMANDS, cli
 from fiohost.control.settings import ControlSettings
+from fiohost.importing.map import TableMap
 from fiohost.labs.readings import Readings
 from fiohost.motor.model import Model
 from fiohost.settings import config_names
@@ -190,7 +190,9 @@ def test_every_command_shown_exists_with_its_options(where: str, line: str) -> N
     while isinstance(command, click.Group) and words and not words[0].startswith("-"):
         command = command.get_command(click.Context(command), words.pop(0))
     assert command is not None, f"{where}: {line}"
-    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)} | {
+        "--help"
+    }
     assert {word for word in words if word.startswith("-") and not word[1:2].isdigit()} <= known, f"{where}: {line}"
 
 

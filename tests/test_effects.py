@@ -12,17 +12,18 @@ import pytest
 from click.testing import CliRunner
 from short_runs import logs_of, random_steps, staircase
 
+from fiohost.advice.limit import Limit, shipped
 from fiohost.bench.connect import connect
 from fiohost.bench.log import Log
 from fiohost.circle import detection
 from fiohost.circle.plan import SUITE, suite
 from fiohost.cli.main import cli
-from fiohost.discover.limit import Limit, shipped
 from fiohost.discover.metrics import judge
+from fiohost.discover.objective import WholeRuns
 from fiohost.discover.search import Search
 from fiohost.discover.stage import Stage
 from fiohost.errors import FiohostError
-from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.fit import fit
 from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.effect import Value, effect, effects
 from fiohost.motor.model import Model
@@ -87,8 +88,9 @@ def run(folder: Path, name: str = "", values: Mapping[str, Value] | None = None)
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     """The plant as it is: its model's figures and the bounds that counts alone would leave."""
-    search = Search(run(tmp_path_factory.mktemp("clean")), np.random.default_rng(1), None, lambda text: None)
-    stage = search.stage(fit_from_scratch(Model.parse(MEASURED.model), search.records))
+    runs = WholeRuns(run(tmp_path_factory.mktemp("clean")))
+    search = Search(runs, np.random.default_rng(1), None, lambda text: None)
+    stage = search.stage(search.declared(Model.parse(MEASURED.model), from_file=False))
     assert stage.at_floor
     return stage
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from fiohost.bench.imports import TableMap, import_table, log_from_table
 from fiohost.bench.log import Log
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, DataError, FiohostError, LogError
+from fiohost.importing.convert import import_table, log_from_table
+from fiohost.importing.map import TableMap
 from fiohost.settings import Table, config_names
 
 MAP: dict[str, Any] = {

@@ -11,8 +11,8 @@ from short_runs import SUITE, closed_loop, logs_of
 
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.signals import Staircase
-from fiohost.discover.informative import Informative, inform
-from fiohost.discover.said import Said, said_by
+from fiohost.checks.informative import Informative, inform
+from fiohost.checks.said import Said, said_by
 from fiohost.estimation.record import record_from_log
 
 UP = Experiment("up", (Staircase(duration_s=10.0, levels=tuple(10.0 * k for k in range(10)), step_s=1.0),))

@@ -12,9 +12,9 @@ from bench_data import QUANTUM_DEG, TICK_S, measure, multisine, steps, truth_mod
 from short_runs import closed_loop, logs_of, staircase
 from short_runs import multisine as tones
 
-from fiohost.discover.finding import Finding
-from fiohost.discover.kinematics import check
-from fiohost.discover.said import Said, said_by
+from fiohost.checks.finding import Finding
+from fiohost.checks.kinematics import check
+from fiohost.checks.said import Said, said_by
 from fiohost.estimation.record import MEAN_SPEED, Record, make_record, record_from_log
 
 

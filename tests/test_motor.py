@@ -186,3 +186,20 @@ def test_every_effect_says_what_it_is_and_vanishes_at_its_neutral_value() -> Non
 def test_parameters_out_of_range_are_refused_by_name() -> None:
     with pytest.raises(ModelError, match=r"linear\.tau_s"):
         Model(values={"linear.tau_s": 0.0})
+
+
+@pytest.mark.parametrize("name", [name for name, item in effects().items() if item.substep_s is None])
+def test_an_effect_that_a_hold_freezes_depends_on_nothing_that_changes_within_it(name: str) -> None:
+    item = effects()[name]
+    q = tuple(parameter.code(parameter.start) for parameter in item.parameters)
+    later = 0.0 if item.moment else 7.0
+    states = ((0.0, 0.0, 50.0), (33.0, 200.0, 50.0 + later), (-5.0, -900.0, 50.0 + 2.0 * later))
+    for hook in filter(None, (item.torque, item.load)):
+        assert len({hook(*state, q) for state in states}) == 1
+    for direction in (1.0, -1.0) if item.friction else ():
+        assert len({item.friction(3.0, *state, state[1] / 9.0, direction, 0.0, q) for state in states}) == 1  # type: ignore[misc]
+    assert item.rate is None
+    assert item.resistance is None
+    assert item.bristle is None
+    if item.voltage:
+        assert len({item.voltage(40.0, 40.0, time, q) for *_, time in states}) == 1

@@ -106,9 +106,9 @@ def test_whitened_windows_are_white_and_of_unit_variance() -> None:
     draws = []
     for _ in range(20):
         residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
-        whitener = Whitener.of(
-            np.arange(len(residual)) * STEP_S, np.ones(len(residual), dtype=bool), edges[:-1], edges[1:], motor, known
-        )
+        n = len(residual)
+        times, moves = np.arange(n) * STEP_S, np.ones(n, dtype=bool)
+        whitener = Whitener.of(times, moves, np.ones(n), edges[:-1], edges[1:], motor, known)
         white = whitener.apply(residual)
         assert float(white @ white) == pytest.approx((WINDOW - 2) * WINDOWS, rel=0.05)
         draws.append(unevenness([white], [edges]))
@@ -125,7 +125,7 @@ def test_a_window_s_own_start_leaves_nothing_whitened() -> None:
     moving = np.where(
         np.arange(WINDOW) < 120, covariance.DRIVEN, np.where(np.arange(WINDOW) < 160, covariance.COASTS, 0)
     )
-    whitener = Whitener.of(times, moving, np.array([0]), np.array([WINDOW]), motor, known)
+    whitener = Whitener.of(times, moving, np.ones(len(times)), np.array([0]), np.array([WINDOW]), motor, known)
     own = covariance.starts(times, moving, motor.tau_s, motor.kind) @ np.array([3.0, 40.0])
     assert np.abs(whitener.apply(own)).max() < 1e-6 * np.abs(own).max() / 0.1
 

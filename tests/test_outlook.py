@@ -17,6 +17,11 @@ from report_case import diagnosis
 from rich.console import Console
 from short_runs import SUITE, logs_of, one_effect_plant, plant_file, random_steps, staircase
 
+from fiohost.advice.empirical import Empirical, empirical_term
+from fiohost.advice.limit import Limit
+from fiohost.advice.limits import detection_limits
+from fiohost.advice.next_experiment import SEPARATES, Duel, separations
+from fiohost.advice.outlook import look_ahead
 from fiohost.bench.connect import connect
 from fiohost.bench.experiment import Experiment
 from fiohost.circle import close
@@ -24,12 +29,7 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.menu import MENU, menu, offer
 from fiohost.cli.main import cli
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.empirical import Empirical, empirical_term
-from fiohost.discover.limit import Limit
-from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import judge
-from fiohost.discover.next_experiment import SEPARATES, Duel, separations
-from fiohost.discover.outlook import look_ahead
 from fiohost.discover.result import to_json
 from fiohost.discover.stage import judged
 from fiohost.errors import DataError

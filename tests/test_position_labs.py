@@ -104,7 +104,10 @@ def test_friction_explains_what_the_two_methods_miss(tmp_path: Path) -> None:
         assert abs(values["simulated_with_friction"][method]["tau_s"] - measured) < 0.5 * (TAU_S - measured)
         assert values["simulated_without"][method]["tau_s"] == pytest.approx(TAU_S, rel=0.2)
     assert [row[0] for row in result.tables[1].rows][:3] == ["step", "pem", "with friction"]
-    assert fiohost.Model.read(Path(result.files["model with friction"])).effects == ("coulomb_friction",)
+    assert fiohost.Model.read(Path(result.files["model with friction"])).effects == (
+        "coulomb_friction",
+        "armature_inductance",
+    )
     assert result.figures["identification"]().axes
 
 

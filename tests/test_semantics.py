@@ -12,11 +12,11 @@ import pytest
 import short_runs
 from bench_data import QUANTUM_DEG, measure, multisine, steps, truth_model
 
+from fiohost.checks.asked import Question, shifted
+from fiohost.checks.said import Said
+from fiohost.checks.semantics import ask
 from fiohost.circle.evidence import diagnose
-from fiohost.discover.asked import Question, shifted
 from fiohost.discover.result import to_json
-from fiohost.discover.said import Said
-from fiohost.discover.semantics import ask
 from fiohost.estimation.record import BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run

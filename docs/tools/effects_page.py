@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from fiohost.discover.limit import shipped
+from fiohost.advice.limit import shipped
 from fiohost.motor.effect import Effect, Parameter, effects
 from fiohost.report.outlook import given_words, size_words
 from firmware_model.registry import effects as board_effects

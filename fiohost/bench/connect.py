@@ -13,7 +13,7 @@ from pathlib import Path
 from fiohost import __version__
 from fiohost.bench.clock import Clock, MonotonicClock, PlayedClock, VirtualClock
 from fiohost.bench.loop import Bench
-from fiohost.bench.seal import MAX_SEED, SEALED, draw_seed, store_seed
+from fiohost.bench.seal import MAX_SEED, SEALED, STUDENT, draw_seed, store_seed, student_seed
 from fiohost.errors import ConfigError
 from fiohost.settings import config_names, nearest
 from fiohost.transport.base import Transport
@@ -76,7 +76,8 @@ def connect(
     """Open a target and return its bench (a context manager).
 
     ``sim`` and ``sim:PLANT`` are simulated boards, ``sim:sealed`` one that nobody is told about, drawn by *seed* or,
-    without one, by a seed that is kept for ``fiohost unseal``; ``sim:sealed-faulty`` is the same on a line and a clock
+    without one, by a seed that is kept for ``fiohost unseal``; ``sim:student:ID`` is one of a student's own;
+    ``sim:sealed-faulty`` is the same on a line and a clock
     with faults. ``emulated:BOARD[:PLANT]`` is the firmware's machine code in an emulator, in lock step with a plant.
     ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME is a profile,
     shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a serial number.
@@ -158,6 +159,11 @@ def watched(transport: Transport, profile: TargetProfile, clock: Clock) -> Trans
 def _simulated(rest: str, profile: TargetProfile, seed: int | None, run_id: str) -> Transport:
     from fiohost.transport.simulated import plant_board, sealed_board
 
+    if f"sim:{rest}".startswith(STUDENT):  # its seed is kept nowhere: a teacher draws it anew
+        if seed is not None:
+            raise ConfigError("a student's board is drawn by the student's name: leave the seed away")
+        own = student_seed(f"sim:{rest}".removeprefix(STUDENT))
+        return sealed_board(own, faulty=False, layout=profile.board_layout, duty_steps=profile.duty_steps)
     if f"sim:{rest}" not in SEALED:
         return plant_board(rest, seed, layout=profile.board_layout, duty_steps=profile.duty_steps)
     drawn = draw_seed() if seed is None else seed

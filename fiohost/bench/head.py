@@ -43,7 +43,7 @@ def check_names(names: list[str], path: Path) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise LogError(f"{path}: column {twice[0]!r} is there twice")
-    hint = "a table of another shape becomes a log by: fiohost import TABLE --map MAP -o LOG"
+    hint = "a table of another shape becomes a log by: fiohost import TABLE"
     for name in ("time_s", "duty_pct"):
         if name not in names:
             raise LogError(f"{path} has no column {name!r} (its first: {', '.join(names[:6])[:120]}); {hint}")

@@ -19,6 +19,7 @@ from fiohost.bench import cable
 from fiohost.bench.clock import Clock, MonotonicClock, VirtualClock
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.guardian import Guardian
+from fiohost.bench.hand import Hand, command_of
 from fiohost.bench.line import Line
 from fiohost.bench.log import Log, LogWriter
 from fiohost.bench.program import Hold, Program
@@ -71,6 +72,7 @@ class Bench:
             cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
         self._guardian: Guardian | None = None
         self._guarded: Way | None = None
+        self._by_hand: Hand | None = None
         try:
             self._set_guardian()
         except BaseException:
@@ -93,7 +95,69 @@ class Bench:
         """Of the run that goes on, or of the last one."""
         return self._line.statistics
 
-    # ---- for users ----------------------------------------------------------------------------------------------
+    # ---- for users: by statements -------------------------------------------------------------------------------
+
+    @property
+    def duty(self) -> float | None:
+        """Duty in percent of full scale, -100 to 100, 0 brakes; setting None is standby. It holds until it is set
+        again, at most HOLD_S after the last statement on a real board. Raises LimitError.
+        """
+        return self._hand.duty
+
+    @duty.setter
+    def duty(self, value: float | None) -> None:
+        command = command_of(value)
+        self._hand.drive(command)
+
+    @property
+    def ref_deg(self) -> float:
+        """Reference that is written to the log, in degrees; NaN: none."""
+        return self._hand.ref_deg
+
+    @ref_deg.setter
+    def ref_deg(self, value: float) -> None:
+        self._hand.ref_deg = value
+
+    @property
+    def angle_deg(self) -> float:
+        """The newest angle in degrees; it does not jump after a turn."""
+        return self._hand.angle_deg
+
+    @property
+    def speed_deg_s(self) -> float:
+        """The mean speed over the last ticks, degrees a second."""
+        return self._hand.speed_deg_s
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the first statement, by the board's ticks."""
+        return self._hand.time_s
+
+    def sleep(self, seconds: float | None = None) -> None:
+        """Let *seconds* pass, or one tick, while the duty holds. Simulated boards take no time for it.
+
+        Raises FiohostError where something failed meanwhile; the motor is braked then.
+        """
+        self._hand.sleep(seconds)
+
+    @property
+    def log(self) -> Log:
+        """What was measured since the first statement. Raises DataError where there is nothing yet."""
+        return self._hand.log(self._head())
+
+    @property
+    def _hand(self) -> Hand:
+        if self._by_hand is None:
+            self._by_hand = Hand(self)
+        return self._by_hand
+
+    def _end_statements(self) -> None:
+        """Brake and end driving by statements, where that goes on."""
+        hand, self._by_hand = self._by_hand, None
+        if hand is not None:
+            hand.close()
+
+    # ---- for users: runs ----------------------------------------------------------------------------------------
 
     def run(
         self,
@@ -146,6 +210,7 @@ class Bench:
         progress_every_s: float = 0.1,
     ) -> Log:
         """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
+        self._end_statements()
         writer = LogWriter(
             log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart
         )
@@ -240,11 +305,13 @@ class Bench:
 
     def settle(self) -> None:
         """Brake until the shaft is at rest (no count for 0.1 s), at most for 5 s."""
+        self._end_statements()
         with StopSignals() as stop, braked_after(self._line, stop, self.reconnect_s):
             settle(self._line, stop)
 
     def close(self) -> None:
         """Brake and give the line back; harmless when done twice. A signal meanwhile is heard afterwards."""
+        self._end_statements()
         with StopSignals() as stop:
             braked = False
             try:

@@ -5,6 +5,7 @@ The log itself carries neither seed nor plant nor anything made from them, so on
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -18,11 +19,14 @@ from fiohost.settings import exists
 
 MAX_SEED = 2**63 - 1
 SEALED = ("sim:sealed", "sim:sealed-faulty")
+STUDENT = "sim:student:"  # and who: a sealed board of one's own
+_STUDENT_ID = re.compile(r"[\w.@-]{1,80}")
 
 
 def is_sealed(target: str) -> bool:
     """Whether nobody is told what is behind a target: a simulated board, or an emulated one with such a plant."""
-    return target in SEALED or (target.startswith("emulated:") and target.endswith(":sealed"))
+    of_emulation = target.startswith("emulated:") and target.endswith(":sealed")
+    return target in SEALED or target.startswith(STUDENT) or of_emulation
 
 
 def is_faulty(target: str) -> bool:
@@ -34,6 +38,13 @@ def state_dir() -> Path:
     """Where fiohost keeps what outlives a command: ``$XDG_STATE_HOME/fiohost``, ``~/.local/state/fiohost``."""
     base = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
     return (Path(base) if base else Path.home() / ".local" / "state") / "fiohost"
+
+
+def student_seed(student: str) -> int:
+    """The seed of a student's board: always the same for the same name. Raises ConfigError for what is no name."""
+    if not _STUDENT_ID.fullmatch(student):
+        raise ConfigError(f"{shown(student)!r} is no student's name or number: letters, digits and . _ @ - make one")
+    return int.from_bytes(hashlib.sha256(f"fiohost student {student.lower()}".encode()).digest()[:4], "big")
 
 
 def draw_seed() -> int:

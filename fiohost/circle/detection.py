@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fiohost.advice.limit import Limit, Measured
+from fiohost.advice.limits import detection_limits
 from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
-from fiohost.discover.limit import Limit, Measured
-from fiohost.discover.limits import detection_limits
 from fiohost.discover.metrics import pool
-from fiohost.discover.search import Search, declared_alone
+from fiohost.discover.objective import WholeRuns
+from fiohost.discover.search import Search
 from fiohost.errors import DataError
 from fiohost.estimation.record import pwm_of, record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
@@ -43,8 +44,8 @@ def smallest_visible(
     seconds = sum(r.seconds for r in records)
     with threadpool_limits(limits=1, user_api="blas"):
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")
-        search = Search(records, np.random.default_rng(seed), library, say)
-        stage = declared_alone(search, declared, declared.given).stages[0]
+        search = Search(WholeRuns(records), np.random.default_rng(seed), library, say)
+        stage = search.stage(search.declared(declared, declared.given))
         if not stage.follows:
             raise DataError(
                 f"{declared.expression} leaves something unexplained in these logs, which hides how small an effect "

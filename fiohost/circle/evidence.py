@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from fiohost.advice.outlook import look_ahead
 from fiohost.bench.log import Log
+from fiohost.checks.said import said_by
 from fiohost.circle.menu import menu
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.outlook import look_ahead
-from fiohost.discover.said import said_by
 from fiohost.errors import DataError
 from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
@@ -18,10 +18,13 @@ Source = str | Path | Log
 
 
 def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
-    """Read logs, or foreign tables by a map. Raises LogError, ConfigError."""
+    """Read logs; foreign tables by a map, or by the one that is found for them. Raises FiohostError."""
+    from fiohost.importing.automatic import read_any
+
     if table_map is None:
-        return [s if isinstance(s, Log) else Log.read(Path(s)) for s in sources]
-    from fiohost.bench.imports import TableMap, log_from_table
+        return read_any(sources)
+    from fiohost.importing.convert import log_from_table
+    from fiohost.importing.map import TableMap
 
     mapping = TableMap.load(table_map)
     return [s if isinstance(s, Log) else log_from_table(Path(s), mapping) for s in sources]
@@ -58,6 +61,7 @@ def diagnose(
     library: Sequence[str] | None = None,
     seed: int = 0,
     limits: bool = False,
+    tolerance_pct: float = 0.0,
     say: Callable[[str], None] = lambda text: None,
     announce: Callable[[Sequence[Log], Sequence[Log]], None] = lambda train, held: None,
 ) -> Diagnosis:
@@ -65,7 +69,8 @@ def diagnose(
 
     ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the
     logs and their roles before anything is fitted, ``say`` hears of progress. ``limits`` also asks how small effects
-    would have been seen where some were found. Raises FiohostError.
+    would have been seen where some were found. What is left is as good as nothing where windows
+    of 1 s err by less than ``tolerance_pct`` of the motion in them. Raises FiohostError.
     """
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
@@ -83,8 +88,10 @@ def diagnose(
         library=library,
         from_file=declared.given,
         seed=seed,
+        tolerance_pct=tolerance_pct,
         say=say,
         files=files,
         said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )
-    return look_ahead(found, menu(), limits=limits, library=library, say=say)
+    another = not any("target" in log.metadata for log in train)
+    return look_ahead(found, menu(), limits=limits, library=library, say=say, another_bench=another)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiohost.advice.next_experiment import Offer
 from fiohost.bench.experiment import Experiment
-from fiohost.discover.next_experiment import Offer
 from fiohost.motor.state import BRAKE, DRIVE, STANDBY
 
 # Open loop, so that what they command does not hang on the plant.

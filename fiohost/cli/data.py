@@ -1,4 +1,4 @@
-"""Commands about data and the library: ``import`` and ``effects``."""
+"""The command about the library: ``effects``."""
 
 from __future__ import annotations
 
@@ -8,62 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fiohost.cli.options import PATH
 from fiohost.cli.output import json_option, output_for
-from fiohost.files import claim
 
 if TYPE_CHECKING:
+    from fiohost.advice.limit import Measured
     from fiohost.cli.output import Output
-    from fiohost.discover.limit import Measured
     from fiohost.motor.effect import Effect, Parameter
-
-
-@click.command("import")
-@click.argument("table", type=PATH)
-@click.option("--map", "map_name", required=True, metavar="MAP", help="Map file, or the name of a shipped one.")
-@click.option("-o", "--output", required=True, type=PATH, metavar="LOG", help="Log to write.")
-@json_option
-def import_(table: Path, map_name: str, output: Path, json_to: str | None) -> None:
-    """Make a log of any table of numbers (CSV, TSV) with a MAP that names its columns and units.
-
-    \b
-    Example:
-      fiohost import power_040.csv --map nxt_open_loop -o log_040.csv
-    """
-    from fiohost.bench.imports import TableMap, import_table
-
-    say = output_for(json_to)
-    claim(output)
-    log = import_table(table, TableMap.load(map_name), output)
-    low, high = float(log.duty_pct.min()), float(log.duty_pct.max())
-    seconds = float(log.time_s[-1] - log.time_s[0])
-    duty = f"{low:.4g} %" if low == high else f"{low:.4g} to {high:.4g} %"
-    bottom, top, unit = float(log.output.min()), float(log.output.max()), log.output_unit
-    resolution = f", resolution {log.output_quantum:.4g} {unit}" if log.output_quantum else ""
-    say(f"{output}: {len(log)} rows, {seconds:.4g} s at {log.sample_time_s:.6g} s")
-    say(f"  duty {duty}, {log.output_name} {bottom:.6g} to {top:.6g} {unit}{resolution}")
-    for note in log.dropped:
-        say(f"  note: {note}")
-    say.json(
-        {
-            "schema": "fiohost.import/1",
-            "log": output,
-            "sha256": log.sha256,
-            "table": table,
-            "map": map_name,
-            "rows": len(log),
-            "seconds": seconds,
-            "sample_time_s": log.sample_time_s,
-            "command_delay_ticks": log.command_delay_ticks,
-            "duty_pct": [low, high],
-            "output": log.output_name,
-            "output_unit": unit,
-            "output_range": [bottom, top],
-            "output_quantum": log.output_quantum,
-            "output_average": log.output_average,
-            "notes": log.dropped,
-        }
-    )
 
 
 @click.command()
@@ -87,7 +37,7 @@ def effects(
       fiohost effects --brief
       fiohost effects --limits run1.csv run2.csv --model linear+coulomb_friction
     """
-    from fiohost.discover.limit import shipped
+    from fiohost.advice.limit import shipped
     from fiohost.motor.effect import effect
     from fiohost.motor.effect import effects as library
 

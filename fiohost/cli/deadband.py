@@ -50,7 +50,7 @@ def deadband(
 
     u_plus is above 0, u_minus below; the spread is the standard deviation over all starts, which are at different
     angles of the shaft. With --angles it is said apart how much the starts differ over the turn and how much between
-    repeats at one place. For a precompensator (Eq. 2.6 of the lab text) take somewhat less than what is found.
+    repeats at one place. For a precompensator (Eq. 2.6 of the INC451 lab text) take somewhat less than what is found.
 
     \b
     Examples:

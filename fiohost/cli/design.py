@@ -10,10 +10,12 @@ import click
 from fiohost.cli.options import PATH, parse_number, profile_option
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.errors import ConfigError
-from fiohost.files import claim
+from fiohost.files import FreeName, claim, write_output
 
 if TYPE_CHECKING:
     from fiohost.control.design import Design
+
+EMITTED = {"c": "controller as C", "matlab": "model and controller as a MATLAB script"}
 
 
 @click.command()
@@ -33,12 +35,14 @@ if TYPE_CHECKING:
 )
 @click.option("--sample-time", default="0.005", show_default=True, metavar="S", help="Tick of the loop.")
 @click.option("--save", "save_to", type=PATH, metavar="FILE", help="Controller file for run.")
+@click.option("--emit", metavar="c|matlab", help="Write the controller as C for firmware, or the loop as a script.")
+@click.option("--emit-to", type=PATH, metavar="F", help="With --emit: the file.  [default: fiohost_controller.h or .m]")
 @click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the responses.")
 @json_option
 def design(
     model: str, controller: str, overshoot: str, settling: str, sse: str, band: str, steps: str, limit: str,
     profile: str | None, share: str | None, counts: str | None, derivative_on: str, sample_time: str,
-    save_to: Path | None, plot_to: Path | None, json_to: str | None,
+    save_to: Path | None, emit: str | None, emit_to: Path | None, plot_to: Path | None, json_to: str | None,
 ) -> None:  # fmt: skip
     """Find gains whose step responses meet a specification on a model: with the limit of the duty, friction or
     deadband, its compensation, encoder counts, and a tick of delay. A specification that cannot be met is said so, with
@@ -48,10 +52,15 @@ def design(
     Examples:
       fiohost design --model nxt --controller pd --overshoot 5 --settling 0.5 --sse 1
       fiohost design --model motor.toml --profile bench.toml --save pd.toml --plot pd.png
+      fiohost design --model motor.toml --emit c --emit-to controller.h
       fiohost run square_170_190 --controller pd.toml
     """
     out = output_for(json_to)
-    for path in (save_to, plot_to):
+    if emit is not None and emit not in EMITTED:
+        raise ConfigError(f"--emit {emit[:40]!r} is neither {' nor '.join(EMITTED)}")
+    if emit_to is not None and emit is None:
+        raise ConfigError("--emit-to needs --emit c or --emit matlab")
+    for path in (save_to, plot_to, emit_to):
         if path is not None:
             claim(path)
     numbers = {
@@ -89,13 +98,28 @@ def design(
     if save_to is not None:
         found.settings.save(save_to, f"designed by fiohost for {found.model.expression}")
         out(f"controller written to {save_to}; fiohost run square_170_190 --controller {save_to}")
+    if emit is not None:
+        emit_to = _emit(found, emit, emit_to)
+        out(f"{EMITTED[emit]} written to {emit_to}")
     if plot_to is not None:
         from fiohost.report.design import plot_design
         from fiohost.report.pictures import save_figure
 
         save_figure(plot_design(found, f"{controller.upper()} on {found.model.expression}"), plot_to)
         out(f"plot: {plot_to}")
-    out.json(found.to_json() | {"controller_file": save_to, "plot": plot_to})
+    out.json(found.to_json() | {"controller_file": save_to, "plot": plot_to, "emitted": emit_to})
+
+
+def _emit(found: Design, kind: str, path: Path | None) -> Path:
+    """Write the controller as C, or model and controller as a MATLAB script. Gives the name."""
+    from fiohost.export.c_code import controller_c
+    from fiohost.export.matlab import matlab_script
+
+    if kind == "c":
+        text = controller_c(found.settings, found.sample_time_s, comment=found.model.expression)
+        return write_output(path or FreeName(Path("fiohost_controller.h")), text)
+    text = matlab_script(found.model, found.settings, found.sample_time_s, max(s.step_deg for s in found.found))
+    return write_output(path or FreeName(Path("fiohost_loop.m")), text)
 
 
 def say_design(out: Output, found: Design) -> None:

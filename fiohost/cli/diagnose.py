@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_seed
+from fiohost.cli.options import PATH, expanded, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     multiple=True,
     type=PATH,
     metavar="LOG",
-    help="A log that only reports; repeat it for more.",
+    help="A log that only reports, a folder of such logs, or a pattern in quotes; repeat it for more.",
 )
 @click.option(
     "--model",
@@ -48,6 +48,12 @@ if TYPE_CHECKING:
 @click.option(
     "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
 )
+@click.option(
+    "--tolerance",
+    default="0",
+    metavar="P%",
+    help="What is left below this share of the motion in windows of 1 s does not matter, as 1%.",
+)
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
 def diagnose(
     logs: Sequence[Path],
@@ -59,6 +65,7 @@ def diagnose(
     report: Path | None,
     table_map: str | None,
     limits: bool,
+    tolerance: str,
     seed: str,
 ) -> None:
     """Name what a declared model lacks, from logs, and report the error before and after on held-out ones; or from
@@ -67,7 +74,7 @@ def diagnose(
     \b
     Examples:
       fiohost diagnose run1.csv run2.csv --holdout run3.csv --model linear+coulomb_friction
-      fiohost diagnose power_*0.csv --holdout power_015.csv --map nxt_open_loop --report out
+      fiohost diagnose power_*0.csv --holdout 'power_*5.csv' --map nxt_open_loop --report out
       fiohost diagnose --readings responses.toml --model nxt.toml --report out
     """
     if not logs and not readings:
@@ -78,11 +85,13 @@ def diagnose(
         return
     from fiohost.circle.evidence import diagnose as run_diagnosis
     from fiohost.discover.result import to_json
+    from fiohost.importing.automatic import understood
     from fiohost.motor.model import Model
     from fiohost.report.tables import print_diagnosis
 
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed) or 0
+    train, held_out = expanded(logs, "LOG"), expanded(holdout, "--holdout")
     if save_model is not None:
         claim(save_model)
     if report is not None:
@@ -92,12 +101,22 @@ def diagnose(
         for role, group in (("training", train), ("held out", held)):
             for log in group:
                 say(f"{role:9} {log.path}: {len(log)} rows")
+                if understood(log):
+                    say(f"          understood: {understood(log)}")
                 for note in log.dropped:
                     say(f"          dropped: {note}")
 
     with progress() as doing:
         found = run_diagnosis(
-            logs, holdout, declared, table_map=table_map, seed=drawn, limits=limits, say=doing, announce=announce
+            train,
+            held_out,
+            declared,
+            table_map=table_map,
+            seed=drawn,
+            limits=limits,
+            tolerance_pct=_percent(tolerance),
+            say=doing,
+            announce=announce,
         )
     result = to_json(found)
     print_diagnosis(say.console, result, say.verbose)
@@ -116,6 +135,17 @@ def diagnose(
         save_plots(report, series, result, curves)
         write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
         say(f"page and plots in {report}")
+
+
+def _percent(text: str) -> float:
+    """A share in percent, with or without its sign. Raises ConfigError."""
+    try:
+        value = float(text.strip().removesuffix("%"))
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 100.0:
+        raise ConfigError(f"--tolerance {text} is no share from 0 to below 100 %; write it as 1%")
+    return value
 
 
 def _refuse_with_readings(given: Mapping[str, object]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_number
+from fiohost.cli.options import PATH, expanded, parse_number
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.files import claim
 
@@ -49,9 +49,9 @@ def identify(
 ) -> None:
     """Find K and tau of the motor, and zeta and omega_n of the loop with a P controller around it.
 
-    step: overshoot and peak time of every step of a square wave, averaged (Eq. 2.7 of the lab text). pem: a fit of the
-    loop's second-order form from reference to angle; from the duty, of K / (s (tau s + 1)) on the commands. The
-    intervals hold 95 %; what the form lacks, such as friction, is in none of them.
+    step: overshoot and peak time of every step of a square wave, averaged (Eq. 2.7 of the INC451 lab text).
+    pem: a fit of the loop's second-order form from reference to angle; from the duty, of K / (s (tau s + 1)) on the
+    commands. The intervals hold 95 %; what the form lacks, such as friction, is in none of them.
 
     \b
     Examples:
@@ -67,10 +67,14 @@ def identify(
 
     from fiohost.circle.evidence import read_logs
     from fiohost.estimation.logs import identify as run
+    from fiohost.importing.automatic import understood
 
-    read = [log.first(MOST_ROWS) for log in read_logs(logs, table_map)]
+    read = [log.first(MOST_ROWS) for log in read_logs(expanded(logs, "LOG"), table_map)]
     found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
+    for log in read:
+        if understood(log):
+            out(f"note: {log.path}: {understood(log)}")
     dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
     for name, notes in dropped.items():
         out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")

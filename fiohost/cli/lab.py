@@ -31,6 +31,10 @@ LABS: dict[str, tuple[str, str]] = {
     ),
     "speed-control": ("fiohost.cli.labs.control_lab:speed_control", "Speed by P and PI, a gear head, a disturbance."),
     "position-control": ("fiohost.cli.labs.control_lab:position_control", "Position by P, PI and PID; a PI designed."),
+    "fine-tuning": (
+        "fiohost.cli.labs.control_lab:fine_tuning",
+        "J or B by the position response, poles, Eqs. D-15 on.",
+    ),
     "design-project": ("fiohost.cli.labs.control_lab:design_project", "The arm that drops its payload into a cup."),
     "steps": ("fiohost.cli.labs.control_lab:steps", "Steps 1 to 25 of the control lab, each answered."),
     "precompensation": (
@@ -40,6 +44,7 @@ LABS: dict[str, tuple[str, str]] = {
     "identification": ("fiohost.cli.labs.identification:identification", "K and tau from a closed loop, two ways."),
     "design": ("fiohost.cli.labs.design:design", "PD control to a specification: simulated, then run."),
     "tables": ("fiohost.cli.labs.tables:tables", "Tables of readings: before, missing effect, after, left out."),
+    "grade": ("fiohost.cli.labs.grade:grade", "For teachers: models handed in against the students' sealed benches."),
     "list": ("fiohost.cli.lab:list_labs", "List the experiments."),
 }
 

@@ -34,18 +34,52 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("fiohost.cli.diagnose:simulate", "Replay a saved model on the commands of a log."),
     "close-loop": ("fiohost.cli.circle:close_loop", "The whole circle: run, fit, find the effect, confirm."),
     "lab": ("fiohost.cli.lab:lab", "The experiments of the two lab texts."),
+    "convert": ("fiohost.cli.convert:convert", "Convert between units of motors and benches."),
+    "tf": ("fiohost.cli.convert:tf", "A transfer function in all its forms, of a motor or any."),
     "check": ("fiohost.cli.check:check", "Say whether a log is whole, cut off or altered."),
-    "import": ("fiohost.cli.data:import_", "Make a log of any table, with a map of its columns."),
+    "import": ("fiohost.cli.imports:import_", "Make a log of any table, by what is found or by a map."),
+    "plot": ("fiohost.cli.plot:plot", "Draw logs: a picture, or a page that zooms."),
     "sniff": ("fiohost.cli.sniff:sniff", "Show raw reports and the fields seen in them; drives nothing."),
     "devices": ("fiohost.cli.hardware:devices", "List boards that are connected."),
     "doctor": ("fiohost.cli.hardware:doctor", "Look for what is not right between this computer and the motor."),
     "firmware": ("fiohost.cli.firmware:firmware", "Programs for boards: list them, find them, flash them."),
     "udev": ("fiohost.cli.hardware:udev", "Print the udev rules that let you reach the boards (Linux)."),
+    "export": ("fiohost.cli.export:export", "Model or controller for MATLAB, as an FMU, or in C."),
     "effects": ("fiohost.cli.data:effects", "List the effects that a model can have."),
     "plants": ("fiohost.cli.bench:plants", "List the plants of the simulated board."),
+    "completion": ("fiohost.cli.completion:completion", "Set up the tab key of bash, zsh or fish."),
     "unseal": ("fiohost.cli.bench:unseal", "Show the truth about a sealed board."),
 }
 
+# How the help shows them; what is in no group comes last.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Bench": ("manual", "panel", "deadband", "run", "close-loop", "watch"),
+    "Data": ("plot", "check", "import"),
+    "Models": ("identify", "diagnose", "simulate", "design", "export", "effects", "fleet"),
+    "Labs": ("lab", "plants", "unseal"),
+    "Boards": ("devices", "doctor", "sniff", "firmware", "udev"),
+    "This program": ("completion",),
+}
+
+START = """\
+fiohost drives a DC-motor control bench, logs it, and says which effect its model lacks.
+
+Without a board, from nothing to a result in a few minutes:
+  fiohost manual --pwm 40 --duration 3                drive the simulated motor
+  fiohost run square_170_190 --log run.csv            an experiment, and its log
+  fiohost plot run.csv                                look at it
+  fiohost identify run.csv                            gain and lag of the motor
+  fiohost close-loop                                  find the effect that a sealed bench hides
+
+With measurements of your own:
+  fiohost import measured.csv                         any table becomes a log: it asks what it cannot know
+  fiohost diagnose measured_log.csv --report report   what does a linear model lack?
+
+With a board:
+  fiohost devices                                     what is connected
+  fiohost doctor                                      is all right between this computer and the motor?
+
+fiohost --help lists all commands, fiohost COMMAND --help explains one, fiohost completion helps the tab key."""
 
 MOST_LINES = 10_000  # of what is logged, that a slow reader may be behind
 FLUSH_S = 1.0
@@ -55,6 +89,7 @@ class Commands(LazyCommands):
     """All commands; errors become one sentence and an exit code."""
 
     table = COMMANDS
+    groups = GROUPS
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         command = super().get_command(ctx, cmd_name)
@@ -189,10 +224,14 @@ def _debug_option() -> click.Option:
     params=[_verbose_option(), _debug_option()],
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Example: fiohost manual --pwm 40 --duration 5",
+    invoke_without_command=True,
 )
 @click.version_option(__version__, prog_name="fiohost")
-def cli() -> None:
+@click.pass_context
+def cli(ctx: click.Context) -> None:
     """Drive a DC-motor control bench, log it, identify it, and name what its model lacks."""
+    if ctx.invoked_subcommand is None:
+        click.echo(START)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -15,6 +15,8 @@ import click
 from fiohost.errors import ConfigError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+# what of a folder is taken for logs and tables
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".h5", ".hdf5", ".parquet")
 PATH = click.Path(path_type=Path, readable=False)  # what cannot be read is refused by who reads it, with exit 1
 
 
@@ -31,7 +33,30 @@ def target_options(command: Command) -> Command:
         "--realtime-priority", is_flag=True, expose_value=False, callback=_priority, help=priority_help
     )(command)
     command = click.option("--seed", metavar="N", help=seed_help)(command)
-    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help)(command)
+    command = click.option(
+        "--student", metavar="ID", is_eager=True, expose_value=False, callback=_student,
+        help="A sealed simulated board of that student's own, always the same one.",
+    )(command)  # fmt: skip
+    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help, callback=_target)(
+        command
+    )
+
+
+def _student(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    if value is not None and not ctx.resilient_parsing:
+        from fiohost.bench.seal import student_seed
+
+        student_seed(value)  # refused here, before anything is opened
+        ctx.meta["student"] = value
+
+
+def _target(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
+    student = ctx.meta.get("student")
+    if student is None:
+        return value
+    if value not in ("sim", "sim:sealed"):
+        raise ConfigError(f"--student is a simulated board of its own: leave --target {value[:60]!r} away")
+    return f"sim:student:{student}"
 
 
 def wire_options(command: Command) -> Command:
@@ -101,6 +126,28 @@ def profile_option(command: Command) -> Command:
     """Add ``--profile FILE``, a bench profile, as argument ``profile`` (text or None)."""
     text = "Bench profile with the deadband, from fiohost deadband --save."
     return click.option("--profile", metavar="FILE", help=text)(command)
+
+
+def expanded(paths: Sequence[Path], what: str) -> list[Path]:
+    """Files for files, folders (all tables and logs in them) and patterns such as ``run_*.csv``, in order of names.
+
+    Raises ConfigError where a folder or pattern holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in TABLES and p.is_file())
+            if not inside:
+                raise ConfigError(f"{what} {path}: the folder holds no log or table ({', '.join(TABLES)})")
+            found += inside
+        elif any(mark in path.name for mark in "*?[") and not path.exists():
+            inside = sorted(path.parent.glob(path.name))
+            if not inside:
+                raise ConfigError(f"{what} {path}: no file fits this pattern")
+            found += inside
+        else:
+            found.append(path)
+    return found
 
 
 def parse_number(option: str, text: str, low: float, high: float, unit: str = "") -> float:

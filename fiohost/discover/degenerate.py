@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from fiohost.discover.candidate import Candidate
 from fiohost.discover.metrics import pool
-from fiohost.discover.round import Candidate
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found
 from fiohost.estimation.intervals import Estimate, estimates

@@ -12,18 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fiohost.discover.clock import in_sequence
+from fiohost.advice.outlook import Outlook
+from fiohost.checks.preliminary import Preliminary, examine
+from fiohost.checks.said import Said
+from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import believed
-from fiohost.discover.evidence import Dependence, dependences
 from fiohost.discover.floor import Floor, floors
+from fiohost.discover.ladder import in_sequence, searched
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.outlook import Outlook
-from fiohost.discover.preliminary import Preliminary, examine
-from fiohost.discover.round import Candidate, Progress
-from fiohost.discover.said import Said
+from fiohost.discover.missing_torque import Dependence, ForceCurve, dependences, force_curves
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
-from fiohost.discover.strategy import searched
 from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.discover.workers import each
@@ -55,7 +54,14 @@ class Diagnosis:
     one_clock: bool = False
     noise: Noise | None = None
     noise_decided: bool = False
+    curves: tuple[ForceCurve, ...] = ()
     white: bool = False
+    tolerance_pct: float = 0.0
+
+    @property
+    def tolerable(self) -> bool:
+        """Whether what is left does not matter to the user."""
+        return self.tolerance_pct > 0.0 and self.final.left_pct <= self.tolerance_pct
 
     @property
     def final(self) -> Stage:
@@ -63,28 +69,36 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        if not self.final.follows or (self.noise_decided and not self.white):
+        if not self.tolerable and (not self.final.follows or (self.noise_decided and not self.white)):
             return "unexplained"
         return "explained" if self.steps else "no_missing_effect"
 
     @property
     def explained_to(self) -> str | None:
-        """To what the final model explains the data: the sensor's counts, noise, or how far repeats of a run differ."""
+        """To what the final model explains the data: the sensor's counts, noise, how far repeats of a run differ, or
+        what the user tolerates.
+        """
         if self.verdict == "unexplained":
             return None
-        if any(f.source == "repeats" for f in self.final.floors):
+        if not self.final.follows or (self.noise_decided and not self.white):
+            return "tolerance"
+        scatter = self.noise_decided and self.noise is not None and self.noise.runs.known
+        if scatter or any(f.source == "repeats" for f in self.final.floors):
             return "repeatability"
         return "noise" if self.noise_decided else "sensor"
 
     @property
     def explained_pct(self) -> float | None:
-        """Share of the declared model's squared error above the floor that is gone, in one-second windows."""
+        """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the
+        floor where no more than that is left.
+        """
         before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
         floor = pool([f.errors for f in self.final.floors])
         if before is None or after is None or floor is None:
             return None
-        there = before.window_rms**2 - floor.window_rms**2
-        left = max(after.window_rms**2 - floor.window_rms**2, 0.0)
+        least = 0.0 if self.verdict == "unexplained" else floor.window_rms**2  # what is left is then no noise
+        there = before.window_rms**2 - least
+        left = max(after.window_rms**2 - least, 0.0)
         return 100.0 * max(1.0 - left / there, 0.0) if there > left else (100.0 if left == 0.0 else 0.0)
 
     @property
@@ -104,6 +118,7 @@ def diagnose_records(
     library: Sequence[str] | None = None,
     from_file: bool = False,
     seed: int = 0,
+    tolerance_pct: float = 0.0,
     say: Progress = lambda text: None,
     files: dict[str, dict[str, str]] | None = None,
     said: Mapping[str, Said] | None = None,
@@ -121,7 +136,7 @@ def diagnose_records(
     train, model = with_bench_zero(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _diagnose(train, holdout, model, library, from_file, seed, say, files or {}, said or {})
+        return _diagnose(train, holdout, model, library, from_file, seed, tolerance_pct, say, files or {}, said or {})
 
 
 def _diagnose(
@@ -131,6 +146,7 @@ def _diagnose(
     library: Sequence[str] | None,
     from_file: bool,
     seed: int,
+    tolerance_pct: float,
     say: Progress,
     files: dict[str, dict[str, str]],
     said: Mapping[str, Said],
@@ -140,7 +156,7 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    found = believed(searched(train, model, library, from_file, rng, say, hidden), hidden)
+    found = believed(searched(train, model, library, from_file, rng, say, hidden, tolerance_pct), hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
@@ -150,11 +166,15 @@ def _diagnose(
     say("judging held-out logs") if holdout else None
     final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
+    left = dependences(train, final, stage.judgements, rng)
+    lacked = dependences(train, declared.fit.model, declared.judgements, rng) if steps else left
     return Diagnosis(
+        curves=tuple(force_curves(lacked, left)),
+        tolerance_pct=tolerance_pct,
         declared=declared,
         steps=tuple(steps),
         candidates=tuple(offered),
-        residual=tuple(dependences(train, final, stage.judgements, rng)),
+        residual=tuple(left),
         train=tuple(train),
         holdout=tuple(holdout),
         before_holdout=tuple(each(lambda r: judge(r, declared.fit.model), holdout)) if holdout else (),

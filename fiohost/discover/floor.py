@@ -21,6 +21,7 @@ from fiohost.motor.state import BRAKE, DRIVE, OMEGA, STANDBY
 from fiohost.noise.covariance import COASTS, DRIVEN, REST, driven_output
 from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import varied
 
 REPLICAS = 32
 # Drawn in addition where a figure stands just above the first: a tail is not known from so few.
@@ -85,9 +86,11 @@ def replica(
 
     The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
     """
+    noise = record.disturbance.noise if record.disturbance else None
+    if noise and noise.runs.known:
+        model = varied(model, noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
     flat = Flat.of(model)
     shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
-    noise = record.disturbance.noise if record.disturbance else None
     driven = disturbed(record, model, noise, rng) if noise and noise.torque_pct.value > 0.0 else record
     begin = start._replace(angle=start.angle + shift)
     truth = free_output(driven, flat, begin)

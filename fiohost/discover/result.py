@@ -9,14 +9,15 @@ from typing import Any
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.floor import REPLICAS
-from fiohost.discover.likelihood import SETTINGS as SEARCH
 from fiohost.discover.metrics import Errors, pool
+from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
 from fiohost.discover.units import LOG_UNIT, in_metres
 from fiohost.discover.verdict import Excess
 from fiohost.estimation.intervals import Estimate
 from fiohost.estimation.stamps import SETTINGS as STAMPS
 from fiohost.noise.estimate import Ranged
+from fiohost.noise.runs import FRICTIONS, LOAD_EFFECT
 from fiohost.noise.settings import SETTINGS as NOISE
 
 
@@ -55,6 +56,26 @@ def _noise(found: Diagnosis) -> dict[str, Any] | None:
         "torque_rms_pct": told(noise.torque_pct, "%", True),
         "torque_time_s": told(noise.torque_s, "s", torque),
     }
+
+
+def _run_to_run(found: Diagnosis) -> dict[str, Any]:
+    """What differs from run to run, by the parameter that does: its standard deviation, and each run's own value."""
+    runs, final = (found.noise.runs if found.noise else None), found.final.fit.model
+    if runs is None or not runs.known:
+        return {}
+    friction = next((key for key in FRICTIONS if key in final.values), FRICTIONS[0])
+    load = f"{LOAD_EFFECT}.level_pct"
+    keys = ("linear.gain_deg_s_per_pct", friction, load)
+    told: dict[str, Any] = {}
+    for key, sd, ci95, i in zip(keys, runs.sd, runs.ci95, range(len(keys)), strict=True):
+        if sd <= 0.0:
+            continue
+        value = final.number(key) if key in final.values else 0.0
+        scale, unit = (1.0 if key == load else value), final.parameter(key).unit
+        spread = Estimate(float(scale * sd), unit, (float(scale * ci95[0]), float(scale * ci95[1])), True, False)
+        by_log = {name: float(value + scale * own[i]) for name, own in runs.by_run.items()}
+        told[key] = {"sd": spread.to_json(), "sd_pct": None if key == load else 100.0 * float(sd), "by_log": by_log}
+    return told
 
 
 def _excess(above: Excess) -> dict[str, Any]:
@@ -104,8 +125,10 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "explained_to": found.explained_to,
         "explained_pct": found.explained_pct,
+        "left_pct": final.left_pct,
+        "tolerance_pct": found.tolerance_pct,
         "noise": _noise(found),
-        "run_to_run": {},
+        "run_to_run": _run_to_run(found),
         "settings": {"noise": asdict(NOISE), "stamps": asdict(STAMPS), "search": asdict(SEARCH)},
         "clock": "logs one after the other" if found.one_clock else "as the logs say",
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
@@ -134,13 +157,14 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         ],
         "residual": {
             "white": found.white,
-            "depends_on": [d.variable for d in found.residual if d.significant] if not final.follows else [],
+            "depends_on": [d.variable for d in found.residual if d.significant and found.verdict == "unexplained"],
             "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {
                 **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},
                 "above_floor": [_excess(e) for e in final.excesses if e.exceeded],
             },
         },
+        "curves": [curve.to_json() for curve in found.curves],
         "holdout_not_followed": [_excess(e) for e in found.not_followed],
         "next_experiment": upcoming.to_json() if upcoming else None,
         "detection_limits": [limit.to_json() for limit in found.outlook.limits],

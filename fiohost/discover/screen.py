@@ -7,7 +7,7 @@ residual's power along it is its score.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,6 @@ from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
-BLOCKS_A_RECORD = 10
-FLIPS = 400
 # Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
 RESOLUTION_S = 0.02
 BEST_TRIALS = 4
@@ -36,7 +34,8 @@ Trial = dict[str, Value]
 class Direction:
     """One way in which an effect may act: trial values, and the orthonormal signatures (n, k) they leave.
 
-    ``share`` is the part of the residual's power along them, zero where physics forbids the sign. Of an effect bound to
+    ``share`` is the part of the residual's power along them, zero where physics forbids the sign; ``as_it_is`` what the
+    trial removes of that power at the size that it has. Of an effect bound to
     the angle there is a sine and a cosine for each zero of angle that the logs have: one size, a phase each, so
     ``weights`` are the sizes that belong together (none: one).
     """
@@ -45,14 +44,15 @@ class Direction:
     basis: np.ndarray
     share: float
     weights: tuple[float, ...] = (1.0,)
+    as_it_is: float = 0.0
 
 
 @dataclass(frozen=True)
 class Score:
     """One effect against the residual: its directions, best first, and the trials from which to refit it.
 
-    ``raw`` are the trials as the library gives them: a size that grows from nothing says little of an effect whose
-    other parameters shape it, so these are looked at as they are.
+    ``raw`` are the trials as the library gives them, the best first: a size that grows from nothing says little of an
+    effect whose other parameters shape it.
     """
 
     effect: Effect
@@ -85,7 +85,7 @@ def _ends(record: Record) -> list[float]:
     count's middle.
     """
     found = []
-    duty = record.excitation.duties_pct[1:]
+    duty = record.acting_pct
     for side in (1.0, -1.0):
         outward = side * record.y
         there = outward >= outward.max() - 1.01 * record.quantum
@@ -156,7 +156,9 @@ class Screen:
             return Direction(trial, np.zeros((len(signature), 1), dtype=np.float32), 0.0)
         along = float(signature @ self.residual) / size
         share = along * along / self.power if along > 0.0 or not one_sided else 0.0
-        return Direction(_scaled(effect, trial, along / size), (signature / size)[:, None].astype(np.float32), share)
+        as_it_is = (2.0 * along * size - size * size) / self.power
+        unit = (signature / size)[:, None].astype(np.float32)
+        return Direction(_scaled(effect, trial, along / size), unit, share, as_it_is=as_it_is)
 
     def _pair(self, effect: Effect, sine: Trial, cosine: Trial) -> Direction:
         """A sine and a cosine together: any phase, so any sign; a phase for each zero of angle."""
@@ -199,7 +201,8 @@ class Screen:
             if not effect.linear_pairs and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
-        raw = () if effect.linear_pairs else tuple(trials)
+        by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
+        raw = () if effect.linear_pairs else tuple(trials[i] for i in by_size)
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
 
 
@@ -231,39 +234,3 @@ def _scaled(effect: Effect, trial: Trial, factor: float) -> Trial:
     neutral = float(parameter.neutral or 0.0)
     value = neutral + factor * (float(trial[parameter.name]) - neutral)
     return {**trial, parameter.name: float(np.clip(value, parameter.lower, parameter.upper))}
-
-
-def chance_share(
-    screen: Screen,
-    scores: Sequence[Score],
-    replicas: Callable[[np.random.Generator], list[np.ndarray]] | None,
-    rng: np.random.Generator,
-    level: float = 0.99,
-    draws: int = 60,
-) -> float:
-    """Share of the residual's power that the best of all trials of all candidates reaches by chance, at the given
-    level.
-
-    Two worlds without any missing effect, the larger counts: the residual itself with random signs in blocks of time,
-    which keeps its colour and power, and replicas of the fitted model through the sensor.
-    """
-    directions = [d for s in scores for d in s.directions]
-    basis = np.concatenate([d.basis for d in directions], axis=1)
-    ends = np.cumsum([d.basis.shape[1] for d in directions])
-
-    def best(along: np.ndarray) -> np.ndarray:
-        """The largest share of any direction for each row of projections (draws, columns)."""
-        parts = zip(np.split(along, ends[:-1], axis=1), directions, strict=True)
-        return np.asarray(np.max([powers(part, d.weights) for part, d in parts], axis=0) / screen.power)
-
-    lengths = screen.lengths
-    blocks = np.concatenate([np.arange(n) * BLOCKS_A_RECORD // n + BLOCKS_A_RECORD * i for i, n in enumerate(lengths)])
-    order = np.flatnonzero(np.diff(blocks, prepend=-1))
-    sums = np.add.reduceat(basis * screen.residual[:, None].astype(np.float32), order, axis=0)
-    signs = rng.choice((-1.0, 1.0), size=(FLIPS, len(sums)))
-    chance = float(np.quantile(best(signs @ sums), level))
-    if replicas is not None:
-        noise = np.array([screen.clean(replicas(rng)) for _ in range(draws)], dtype=np.float32)
-        # The largest of many draws stands for the level, with a margin for its own scatter.
-        chance = max(chance, 1.5 * float(best(noise @ basis).max()))
-    return chance

@@ -1,285 +1,404 @@
-"""Forward selection: from a declared model to what it lacks, one effect at a time, on training records alone.
+"""The search: a beam over structures, from a declared model to what it lacks, on training records alone.
 
-judge against the floor -> one round over the library -> add -> delete -> search again -> judge again
+screen the library -> refit the best -> null -> left-out blocks -> add -> drop what is not needed -> again
+
+Adding and dropping are the moves; with more than one structure carried on, an effect that was mistaken for a part of
+another gives way by them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fiohost.discover.choose import SHARED_GAIN, Validated, folds, indistinguishable, objection
-from fiohost.discover.evidence import dependences
-from fiohost.discover.exchange import commonest, exchanged, swapped
-from fiohost.discover.refit import again, searched_again, unstuck
-from fiohost.discover.round import (
-    LEAST_CV_GAIN,
-    LEAST_OF_REST,
-    Candidate,
-    Context,
-    Outcome,
-    Progress,
-    run_round,
-)
-from fiohost.discover.stage import Stage, judged
+from fiohost.discover.candidate import Candidate, Progress
+from fiohost.discover.missing_torque import dependences
+from fiohost.discover.moments import fit_event, moment_of
+from fiohost.discover.null import Null, draw_null
+from fiohost.discover.objective import Objective, State
+from fiohost.discover.optimise import again, fit_anew, full_fit, polish, rough_fit, searched_again, unstuck
+from fiohost.discover.score import Gain, left_out, objection, only_in
+from fiohost.discover.screen import Score, Screen, candidates
+from fiohost.discover.settings import SETTINGS, SearchSettings
+from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found, Step, named_with
-from fiohost.estimation.fit import Fit, fit, fit_from_scratch
+from fiohost.discover.workers import each
+from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
+from fiohost.noise.whiten import is_white, unevenness
 
-MOST_EFFECTS = 4
-# Begun anew, no more than a pair is looked for: from two names that are nowhere near the data nothing leads on.
-MOST_ANEW = 2
-# While effects are chosen among, only each so many windows are looked at, and as many as this at least.
-MOST_EVERY, LEAST_WINDOWS = 3, 40
-# Something is missing from one-second windows where their power stands by this share above the floor.
-SHOWS = 0.05
-# A fit may be stuck where they stand above the floor by no more than this.
-STUCK = 2.0
-# Where structure remains, names are given only if they explain this share of what the declared model leaves.
-LEAST_OF_ALL = 0.5
+
+@dataclass(frozen=True)
+class Child:
+    """A candidate carried to its minimum beside a node, and by how much its deviance is below that node's."""
+
+    score: Score
+    state: State
+    gain: float
+
+    @property
+    def name(self) -> str:
+        return self.score.effect.name
+
+    @property
+    def share(self) -> float:
+        """Of the residual's power, as deviance counts it."""
+        return 1.0 - float(np.exp(-max(self.gain, 0.0) / max(self.state.fit.samples, 1.0)))
+
+    @property
+    def commonness(self) -> tuple[int, int]:
+        return len(self.score.effect.parameters), self.score.effect.commonness
+
+
+@dataclass(eq=False)
+class Node:
+    """A structure on the way: its state, and what was added in turn to come there."""
+
+    state: State
+    added: tuple[Added, ...] = ()
+    _stage: Stage | None = field(default=None, repr=False)
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(a.child.name for a in self.added)
+
+
+@dataclass(eq=False)
+class Added:
+    """An effect that a search added to the node ``before``, with the ``accepted`` candidates beside it, the ``level``
+    that chance reached, and the node ``after`` it.
+    """
+
+    by: Search
+    child: Child
+    before: Node
+    accepted: Sequence[Child]
+    level: float
+    after: Node | None = None
 
 
 class Search:
-    """One search in progress over the training records, by whole runs or by one-second ``windows``.
-
-    Windows are nearly convex and bear with slow disturbances, whole runs are an order of magnitude sharper; ``anew``
-    lets candidates begin from values of their own where none comes close to whole runs.
+    """One search over one objective; ``anew`` lets candidates begin from values of their own where none comes close,
+    ``tolerance_pct`` is the share of the motion that does not matter.
     """
 
     def __init__(
         self,
-        train: Sequence[Record],
+        objective: Objective,
         rng: np.random.Generator,
         library: Sequence[str] | None,
         say: Progress,
+        settings: SearchSettings = SETTINGS,
         *,
-        windows: bool = False,
         anew: bool = False,
+        tolerance_pct: float = 0.0,
     ) -> None:
-        self.train = train
-        records, groups = folds(train)
-        if windows:
-            every = sum(len(r.windows) - 1 for r in records) // LEAST_WINDOWS
-            records = [replace(r, every=max(1, min(every, MOST_EVERY))) for r in records]
-        self.context = Context(records, groups, windows, anew, len(records) > len(train), library, rng, say)
+        self.anew, self.tolerance_pct = anew, tolerance_pct
+        self.objective, self.rng, self.library, self.say, self.settings = objective, rng, library, say, settings
+        self.told: list[Candidate] = []
+        self._blocks: dict[str, tuple[State, np.ndarray]] = {}
 
-    @property
-    def records(self) -> Sequence[Record]:
-        """What is fitted: the training records, or pieces of them where these are few."""
-        return self.context.records
+    def stage(self, node: Node) -> Stage:
+        """A node judged on whole records, once."""
+        if node._stage is None:
+            node._stage = self.objective.stage(node.state, self.rng)
+        return node._stage
 
-    def stage(self, fitted: Fit) -> Stage:
-        """A fit judged; whole runs fitted from where windows led take its place where they are no longer lost."""
-        if fitted.windows:
-            whole = fit(fitted.model, self.records, max_iterations=25, tolerance=1e-6)
-            stage = judged(whole, self.records, self.train, self.context.rng)
-            if not stage.lost:
-                return stage
-        return judged(fitted, self.records, self.train, self.context.rng)
+    def declared(self, model: Model, from_file: bool) -> Node:
+        """Where every search begins: the declared model fitted."""
+        fitted = fit_from_scratch(model, self.objective.records, keep_start=from_file, windows=self.objective.windows)
+        return Node(self.finished(self.objective.settled(fitted)))
 
-    def settled(self, fitted: Fit) -> Stage:
-        """The stage of a fitted model; off the floor, what an addition may have moved is searched again."""
-        stage = self.stage(fitted)
-        found = stage.fit
-        ragged = any(found.model.parameter(n).ragged for n in found.names)
-        if stage.at_floor or not ragged or found.windows:
-            return stage
-        better = searched_again(found, self.records)
-        if better.cost >= found.cost or objection(better, better.model.effects[-1]):
-            return stage
-        return self.stage(better)
+    def run(self, root: Node) -> Node:
+        """The best structure that the data speak for."""
+        beam, best = [root], root
+        while len(best.added) < self.settings.most_effects and not self.explains(best):
+            grown: dict[frozenset[str], Node] = {}
+            for node in beam:
+                for child in self.expand(node):
+                    was = grown.get(child.names)
+                    if was is None or child.state.price < was.state.price:
+                        grown[child.names] = child
+                if not grown:
+                    break  # beside the best one nothing is missing
+            beam = self.simplest_first(list(grown.values()))[: self.settings.beam]
+            if not beam or (best is not root and beam[0].state.price >= best.state.price):
+                break
+            best = next((n for n in beam if self.explains(n)), beam[0])
+        return self.exchanged(best)
 
-    def off_its_ledge(self, stage: Stage, added: bool) -> Stage:
-        """The stage, its fit begun again around each parameter if it may stand on a ledge beside its minimum: what
-        windows nearly follow and whole runs do not may be no more than that. ``added``: its last effect was, and has to
-        stay believable.
+    def exchanged(self, best: Node) -> Node:
+        """A structure with each of its names but the last asked for again beside the others: it was chosen while they
+        were missing. Beside what whole runs do not follow nothing can be told by them.
         """
-        if stage.follows or stage.fit.windows or stage.windows_above_floor > STUCK:
-            return stage
-        better = unstuck(stage.fit, self.records, self.context.rng)
-        if better.cost >= stage.fit.cost or (added and objection(better, better.model.effects[-1])):
-            return stage
-        return self.stage(better)
-
-    def rivals(self, name: str, best: Validated, outcome: Outcome) -> dict[str, Model]:
-        """Those whose left-out error this data cannot tell from that of the one that was taken, as they were fitted."""
-        gain = outcome.base_cost - best.cost
-        beside = {c.effect: c.validated for c in outcome.candidates if c.validated is not None}
-        beside |= {
-            c.effect: c.as_rival
-            for c in outcome.candidates
-            if c.as_rival is not None and outcome.base_cost - c.as_rival.cost >= SHARED_GAIN * gain
-        }
-        return {
-            other: rival.fit.model
-            for other, rival in beside.items()
-            if other != name and indistinguishable(best, rival, outcome.base_cost)
-        }
-
-    def prune(self, fitted: Fit, declared: Model) -> Fit:
-        """Delete every added effect that left-out records do not miss once the others are there, fitted again.
-
-        The newest too: it may only have helped the others out of where they were caught.
-        """
-        added = [e for e in fitted.model.effects if e not in declared.effects]
-        for name in added:
-            smaller = again(fitted, fitted.model.without([name]), self.records)
-            whole, less = self.context.validate(fitted), self.context.validate(smaller)
-            if less.cost <= whole.cost * (1.0 + 0.5 * LEAST_CV_GAIN):
-                self.context.say(f"{name} is no longer needed")
-                fitted = smaller
-        return fitted
-
-
-def _grown(
-    search: Search, fitted: Fit, steps: Sequence[Step], declared: Model
-) -> tuple[Stage, list[Step], dict[str, str]]:
-    """A fit with an effect added, after all that this may have moved: the earlier steps with what takes their place,
-    and which names were exchanged for which of their equivalents.
-    """
-    fitted, swaps = swapped(search.context, fitted, steps, search.stage)
-    grown = search.settled(fitted)
-    told: dict[str, str] = {}
-    if not grown.at_floor:
-        fitted, told = exchanged(search.context, fitted, declared)
-        grown = search.settled(fitted) if told else grown
-    return search.off_its_ledge(grown, True), swaps, told
-
-
-def _reproach(before: Stage, after: Stage) -> str | None:
-    """What speaks against a further effect once it is fitted to the end, or None.
-
-    It has to show in one-second windows too, where there was something to show, and neither figure may rise, whatever
-    its floor: a model whose runs scatter has a high one, and stands close to it at any error.
-    """
-    if any(new > (1.0 + SHOWS) * old for new, old in zip(after.powers, before.powers, strict=False)):
-        return "makes whole runs or one-second windows worse"
-    if after.follows:
-        return None
-    was, left = before.powers_above_floor, after.powers_above_floor
-    if before.windows_above_floor > SHOWS:
-        if left[0] > (1.0 - LEAST_OF_REST) * was[0]:
-            return "leaves what stands above the floor in one-second windows as it was"
-    elif left[-1] > (1.0 - LEAST_OF_REST) * was[-1]:
-        return "leaves what stands above the floor in whole runs as it was"
-    return None
-
-
-def _closer(stage: Stage, other: Stage) -> bool:
-    """Whether one stage's fit comes closer than another's; what follows whole runs does so before all windows."""
-    if stage.fit.windows != other.fit.windows:
-        return other.fit.windows
-    return stage.fit.cost < other.fit.cost
-
-
-def _explained_share(before: Stage, after: Stage) -> float:
-    """Share of what stood above the floor that is gone, in whole runs or in one-second windows, whichever is more."""
-    pairs = zip(before.powers_above_floor, after.powers_above_floor, strict=False)
-    return max((1.0 - left / was for was, left in pairs if was > 0.0), default=0.0)
-
-
-def declared_alone(search: Search, model: Model, from_file: bool) -> Found:
-    """Where every search begins: the declared model fitted to whole runs and judged."""
-    stage = search.stage(fit_from_scratch(model, search.records, keep_start=from_file))
-    return eased(search, Found((stage,), (), ()))
-
-
-def eased(search: Search, found: Found) -> Found:
-    """What a search came to, its last fit got off its ledge if it may stand on one."""
-    stage = search.off_its_ledge(found.final, bool(found.steps))
-    if stage is found.final:
-        return found
-    steps = tuple(replace(s, stage=stage) if s is found.steps[-1] else s for s in found.steps)
-    return replace(found, stages=(*found.stages[:-1], stage), steps=steps)
-
-
-def select(search: Search, begun: Found) -> Found:
-    """Forward selection from where another search came to, with deletion after every addition.
-
-    A search by windows ends where whole runs can be followed: what is left then is for a search by whole runs.
-    """
-    say, rng, windows = search.context.say, search.context.rng, search.context.windows
-    declared, stage = begun.stages[0], begun.final
-    model = declared.fit.model
-    if windows and not stage.fit.windows:
-        near = fit(stage.fit.model, search.records, windows=True, max_iterations=25, tolerance=1e-5)
-        stage = judged(near, search.records, search.train, rng)
-    steps: list[Step] = list(begun.steps)
-    offered: list[Candidate] = list(begun.offered)
-    while not stage.follows and stage.fit.windows == windows and len(steps) < MOST_EFFECTS:
-        if search.context.anew and stage.utterly_lost and len(steps) >= MOST_ANEW:
-            break
-        outcome = run_round(search.context, stage, first=not steps)
-        offered, winner = outcome.candidates, outcome.winner
-        if winner is None or winner.validated is None:
-            break
-        say(f"adding {winner.effect}")
-        pruned = search.prune(winner.validated.fit, model)
-        if winner.effect not in pruned.model.effects:
-            settled, was = search.settled(pruned), stage
-            stage = settled if _closer(settled, stage) else stage
-            steps = [s for s in steps if s.effect in stage.fit.model.effects]
-            if steps:
-                steps = [*steps[:-1], replace(steps[-1], stage=stage)]
-            elif stage is not was and declared is begun.stages[0]:
-                declared = stage
+        if not self.objective.windows and not self.explains(best):
+            return best
+        for earlier in best.added[:-1]:
+            if earlier not in best.added:
                 continue
-            unneeded = "is not missed by left-out records once the rest is fitted again"
-            offered = [replace(c, rejected_because=unneeded) if c.effect == winner.effect else c for c in offered]
-            break
-        grown, swaps, told = _grown(search, pruned, steps, model)
-        why = _reproach(stage, grown) if steps else None
-        if why:
-            say(f"{winner.effect} {why}: not added")
-            offered = [replace(c, rejected_because=why) if c.effect == winner.effect else c for c in offered]
-            break
-        follows = dependences(search.train, stage.fit.model, stage.judgements, rng)
-        evidence = dict(outcome.evidence)
-        evidence["missing_torque_follows"] = {d.variable: d.to_json() for d in follows if d.significant}
-        rivals = search.rivals(winner.effect, winner.validated, outcome)
-        stage = grown
-        steps = [replace(s, effect=told[s.effect], indistinguishable_from=()) if s.effect in told else s for s in swaps]
-        steps = [s for s in steps if s.effect in stage.fit.model.effects]
-        name = told.get(winner.effect, winner.effect)
-        named = named_with(name, rivals) if name == winner.effect else ()
-        steps.append(Step(name, stage, evidence, named, rivals, outcome.able_beside_winner, outcome.base_cost))
-        if stage.lost and not search.context.windows and not search.context.anew:
-            break  # beside a model that whole runs cannot follow, nothing can be told by them
-    if steps and not stage.follows and _explained_share(declared, stage) < LEAST_OF_ALL:
-        return _all_taken_back(search, declared, steps, offered)
-    return Found((declared, stage) if steps else (declared,), tuple(steps), tuple(offered))
+            name, fitted = earlier.child.name, best.state.fit
+            self.say(f"{name}, asked for again beside the others")
+            less = self.objective.settled(again(fitted, fitted.model.without([name]), best.state.records))
+            rest = Node(less, tuple(a for a in best.added if a is not earlier))
+            told = self.told
+            first = self.simplest_first([*self.expand(rest), best])[0]
+            self.told = told
+            if first is not best and (self.explains(first) or not self.explains(best)):
+                self.say(f"{first.added[-1].child.name} takes its place")
+                best = first
+        return best
+
+    def simplest_first(self, nodes: Sequence[Node]) -> list[Node]:
+        """Nodes by price, the simplest of those that are as good as the best first."""
+        if not nodes:
+            return []
+        tie = min(n.state.deviance for n in nodes) + self.tie(nodes[0].state)
+        first = min(
+            (n for n in nodes if n.state.deviance <= tie), key=lambda n: (len(n.state.fit.names), n.state.price)
+        )
+        return [first, *sorted((n for n in nodes if n is not first), key=lambda n: n.state.price)]
+
+    def tie(self, state: State) -> float:
+        """Deviances this close are as good."""
+        s = self.settings
+        if self.objective.windows:
+            return s.equal_deviance
+        return max(s.equal_deviance, state.fit.samples * float(np.log(s.as_good)))
+
+    def explains(self, node: Node) -> bool:
+        """Whether whole runs follow the data, or what is left does not matter to the user; of noise only the null says
+        when to stop.
+        """
+        if self.tolerance_pct > 0.0 and self.stage(node).left_pct <= self.tolerance_pct:
+            return True
+        return not self.objective.windows and self.stage(node).follows
+
+    def expand(self, node: Node) -> list[Node]:
+        """The nodes with one more effect that the data speak for, the best first."""
+        screens = self.objective.screens(node.state)
+        offered = candidates(node.state.fit.model, self.objective.records, self.library)
+        if node.added:  # the little that another effect leaves can always be blamed on an event
+            offered = [e for e in offered if not e.once]
+        self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
+        ranked = [sorted(each(s.score, offered), key=lambda x: x.share, reverse=True) for s in screens]
+        if not offered:
+            return []
+        children = self.children(node, screens, ranked)
+        best = {c.name for c in children}
+        self.told = [Candidate(s.effect.name, s.share, "scores less than those refitted") for s in ranked[0]]
+        self.told = [c for c in self.told if c.effect not in best]
+        if not children:
+            return []
+        null = self.objective.null(node.state, children[0].state)
+        screen = screens[0] if null is node.state else Screen(null.fit, null.records)
+        scores = ranked[0] if null is node.state else each(screen.score, offered)
+        drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
+        whys = each(lambda c: self.objection(node, c, drawn), children)
+        accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
+        beaten = f"does less well than {accepted[0].name}" if accepted else None
+        self.told += [
+            Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
+            for c, why in zip(children, whys, strict=True)
+        ]
+        return [self.grown(node, c, accepted, drawn.level) for c in accepted[: self.settings.beam]]
+
+    def children(self, node: Node, screens: Sequence[Screen], ranked: Sequence[Sequence[Score]]) -> list[Child]:
+        """The best candidates, each at its minimum, the least price first."""
+        s, windows = self.settings, self.objective.windows
+        jobs: list[tuple[Score, Fit, Sequence[Record]]] = []
+        for screen, scores in zip(screens, ranked, strict=True):
+            most = s.refitted_in_windows if windows else s.refitted
+            worth = [x for x in scores[:most] if x.share > s.worth * scores[0].share]
+            worth = list(scores[: max(len(worth), s.least_refitted)])
+            worth += [x for x in scores if x not in worth and (x.effect.once or (windows and x.effect.warms))]
+            jobs += [(x, screen.fit, screen.records) for x in worth]
+        self.say(f"refitting {len({x.effect.name for x, _, _ in jobs})} of them")
+        rough = each(lambda job: self._rough(*job), jobs)
+        floor = np.inf if windows else self.stage(node).floor_rms
+        if not windows and min(f.rms for f in rough) > s.lost * floor:
+            self.say("whole runs are far from the floor with every effect")
+            if not self.anew:
+                return []
+            self.say("beginning anew with each of them")
+            jobs = [(x, screens[0].fit, screens[0].records) for x in ranked[0]]
+            rough = each(lambda job: fit_anew(job[1], job[0], job[2]), jobs)
+            if min(f.rms for f in rough) > s.lost * floor:
+                return []
+        pairs = [(base, f) for (_, base, _), f in zip(jobs, rough, strict=True)]
+        gains = [base.samples * float(np.log(base.cost / max(f.cost, 1e-300))) for base, f in pairs]
+        order = [i for i in np.argsort(gains)[::-1]]
+        kept: dict[str, dict[int, int]] = {}  # of each name the best of each screen
+        for i in order:
+            name, way = jobs[i][0].effect.name, id(jobs[i][2])
+            near = gains[i] >= gains[order[0]] - jobs[i][1].samples * np.log(s.hopeless)
+            if name in kept or (near and len(kept) < (s.finalists_in_windows if windows else s.finalists)):
+                kept.setdefault(name, {}).setdefault(way, int(i))
+
+        def finished(i: int) -> Child:
+            score, _, records = jobs[i]
+            found = full_fit(rough[i], score.effect, records, s.lost * floor)
+            state = self.objective.settled(found, whitened=records is node.state.records)
+            return Child(score, state, node.state.deviance - state.deviance)
+
+        done = each(finished, [i for ways in kept.values() for i in ways.values()])
+        best = {name: min((c for c in done if c.name == name), key=lambda c: c.state.deviance) for name in kept}
+        return sorted(best.values(), key=lambda c: c.state.price)
+
+    def _rough(self, score: Score, base: Fit, records: Sequence[Record]) -> Fit:
+        found = rough_fit(base, score, records)
+        if self.objective.windows or moment_of(score.effect) is None:
+            return found
+        return min(found, fit_event(base, score.effect, records), key=lambda f: f.cost)
+
+    def objection(self, node: Node, child: Child, null: Null) -> str | None:
+        """Why a candidate is not believed, or None."""
+        s, found, name, of = self.settings, child.state.fit, child.name, child.score.effect
+        whole = not self.objective.windows
+        left = found.rms / self.stage(node).floor_rms if whole else np.inf
+        finished = left <= s.finished
+        if whole and of.once and not finished:
+            return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
+        if child.gain < s.margin * null.level and not finished:
+            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.level:.0f}"
+        why = next((w for w in (objection(found, n) for n in [name, *node.names]) if w), None)
+        if why is not None:
+            return why
+        if whole and node.added:
+            above = 1.0 - (left**2 - 1.0) / max((node.state.fit.rms / self.stage(node).floor_rms) ** 2 - 1.0, 1e-12)
+            if above < s.least_of_rest:
+                return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
+        group = only_in(found, name, self.objective.groups) if not (of.shown or of.once) else None
+        if group is not None:
+            rest = self.stage(node).left_of(found, group) > s.finished if whole else not self.white(Node(child.state))
+            if rest:
+                return f"only {self.objective.records[group[0]].name} shows it, and something is left"
+        if of.once and finished:
+            return None  # no other record can confirm it
+        gain = Gain.of(self.left_out(self.objective.under(node.state, child.state), child), self.own(child), s)
+        if not gain.sure(s):
+            return f"gains {gain.total:.0f} of deviance on left-out training records, give or take {gain.error:.0f}"
+        if not of.shown and gain.total <= 2.0 * gain.most:
+            return "is carried by one stretch of 2 s"
+        return None
+
+    def left_out(self, fitted: Fit, child: Child) -> np.ndarray:
+        """Deviance of left-out blocks of a fit, under the noise that a candidate leaves."""
+        return left_out(fitted, child.state.variance, child.state.records, self.objective.groups)
+
+    def own(self, child: Child) -> np.ndarray:
+        if child.name not in self._blocks or self._blocks[child.name][0] is not child.state:
+            self._blocks[child.name] = (child.state, self.left_out(child.state.fit, child))
+        return self._blocks[child.name][1]
+
+    def in_order(self, accepted: Sequence[Child]) -> list[Child]:
+        """Candidates with the least price first; among those as good, the simplest, then the commonest."""
+        if not accepted:
+            return []
+        if not self.objective.windows and len(accepted) > 1:
+            least = min(c.state.fit.cost for c in accepted)
+            near = [c for c in accepted if c.state.fit.cost <= 1.1 * least]
+            accepted = [self._polished(c) if c in near else c for c in accepted]
+        least = min(c.state.deviance for c in accepted)
+        tie = self.tie(accepted[0].state)
+        equal = [c for c in accepted if c.state.deviance <= least + tie]
+        first = min(equal, key=lambda c: c.commonness)
+        rest = sorted((c for c in accepted if c is not first), key=lambda c: c.state.price)
+        return [first, *rest]
+
+    def _polished(self, child: Child) -> Child:
+        better = polish(child.state.fit, child.state.records, self.rng)
+        if better is child.state.fit or objection(better, child.name):
+            return child
+        state = self.objective.settled(better)
+        return Child(child.score, state, child.gain + child.state.deviance - state.deviance)
+
+    def rivals(self, child: Child, accepted: Sequence[Child]) -> dict[str, Model]:
+        """Those that left-out blocks cannot tell from a candidate."""
+        s, found = self.settings, {}
+        for other in (c for c in accepted if c.name != child.name):
+            own = self.objective.under(other.state, child.state)
+            worse = Gain.of(self.left_out(own, child), self.own(child), s)
+            near = not self.objective.windows and other.state.fit.cost <= s.as_good * child.state.fit.cost
+            if near or (not worse.sure(s) and other.gain >= s.shared_gain * child.gain):
+                found[other.name] = own.model
+        return found
+
+    def grown(self, node: Node, child: Child, accepted: Sequence[Child], level: float) -> Node:
+        """A node with a candidate added, its fit finished, what it no longer needs dropped."""
+        self.say(f"adding {child.name}")
+        state, dropped = self.needed(self.finished(child.state), node.names, level)
+        added = Added(self, child, node, accepted, level)
+        added.after = Node(state, (*(a for a in node.added if a.child.name not in dropped), added))
+        return added.after
+
+    def finished(self, state: State) -> State:
+        """A state with its non-smooth parameters searched again, and got out of a local minimum."""
+        if self.objective.windows:
+            return state
+        found, records = state.fit, self.objective.records
+        if any(found.model.parameter(n).ragged for n in found.names) and not self.stage(Node(state)).at_floor:
+            better = searched_again(found, records)
+            if better.cost < found.cost and not _doubted(better):
+                found = better
+        state = self.objective.settled(found)
+        stage = self.stage(Node(state))
+        if stage.follows or stage.windows_above_floor > self.settings.stuck:
+            return state
+        better = unstuck(found, records, self.rng)
+        if better.cost >= found.cost or _doubted(better):
+            return state
+        return self.objective.settled(better)
+
+    def needed(self, state: State, names: frozenset[str], level: float) -> tuple[State, list[str]]:
+        """A state without those of some effects that the deviance does not ask for any more, and which."""
+        dropped = []
+        for name in [e for e in state.fit.model.effects if e in names]:
+            less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records))
+            if less.deviance - state.deviance < max(self.settings.margin * level, self.settings.equal_deviance):
+                self.say(f"{name} is no longer needed")
+                state = less
+                dropped.append(name)
+        return state, dropped
+
+    def found(self, root: Node, node: Node) -> Found:
+        """What the search came to: every name with its stage, its evidence and what these data cannot tell from it."""
+        stages = (self.stage(root), self.stage(node)) if node.added else (self.stage(root),)
+        steps = tuple(a.by.step(a, self.stage(node) if a is node.added[-1] else None) for a in node.added)
+        return Found(stages, steps, tuple(self.told), noise=node.state.noise)
+
+    def step(self, added: Added, final: Stage | None) -> Step:
+        """What was added, its stage the ``final`` one or the one just after it."""
+        child, before = added.child, self.stage(added.before)
+        n = max(child.state.fit.samples, 1.0)
+        follows = dependences(self.objective.train, before.fit.model, before.judgements, self.rng)
+        evidence: dict[str, object] = {
+            "residual_power_removed": child.share,
+            "by_chance": 1.0 - float(np.exp(-added.level / n)),
+            "deviance_gained": child.gain,
+            "deviance_by_chance": added.level,
+            "missing_torque_follows": {d.variable: d.to_json() for d in follows if d.significant},
+        }
+        rivals = self.rivals(child, added.accepted)
+        after = final or (self.stage(added.after) if added.after else before)
+        return Step(child.name, after, evidence, named_with(child.name, rivals), rivals)
+
+    def white(self, node: Node) -> bool:
+        """Whether what a node leaves in windows is noise: white, and followed by nothing."""
+        state = node.state
+        if state.noise is None or state.noise.torque_pct.value > self.settings.most_torque_pct:
+            return False
+        null = draw_null(self.objective, state, Screen(state.fit, state.records), [], self.rng, self.settings)
+        stage = self.stage(node)
+        follows = dependences(self.objective.train, stage.fit.model, stage.judgements, self.rng)
+        # A random torque follows nothing but itself, in time.
+        ruled = any(d.significant and d.r2 > self.settings.follows and d.variable != "time" for d in follows)
+        uneven = unevenness(state.fit.residuals, [r.windows for r in state.records])
+        return is_white(uneven, null.unevenness) and not ruled
 
 
-def only_commonest(search: Search, found: Found) -> Found:
-    """What a search came to that follows nothing: one name is kept, what else is missing has many takers.
-
-    Its parameters are those that windows like best: those of whole runs make up for what wanders from run to run.
-    """
-    search.context.say("whole runs still cannot be followed: one name is kept, with all that explain not much less")
-    only = commonest(found.steps[0], search.stage)
-    explained = _explained_share(found.stages[0], only.stage)
-    near = fit(only.stage.fit.model, search.records, windows=True, max_iterations=25, tolerance=1e-6)
-    by_windows = judged(near, search.records, search.train, search.context.rng)
-    if by_windows.powers[0] < only.stage.powers[0]:
-        only = replace(only, stage=by_windows)
-    if max(explained, _explained_share(found.stages[0], only.stage)) < LEAST_OF_ALL:
-        return _all_taken_back(search, found.stages[0], found.steps, found.offered)
-    why = "was added, but whole runs cannot be followed with it either"
-    return Found((found.stages[0], only.stage), (only,), tuple(_taken_back(found.steps[1:], found.offered, why)))
-
-
-def _all_taken_back(search: Search, declared: Stage, steps: Sequence[Step], offered: Sequence[Candidate]) -> Found:
-    """The declared model alone, where what was added to it leaves most of what stands above the floor."""
-    search.context.say("what was added explains less than half: taken back")
-    why = "was added, but all that was explains less than half of what stands above the floor"
-    return Found((declared,), (), tuple(_taken_back(steps, offered, why)))
-
-
-def _taken_back(steps: Sequence[Step], offered: Sequence[Candidate], why: str) -> list[Candidate]:
-    """The candidates of the last round, and first those that were added, and why they are not any more."""
-    names = [s.effect for s in steps]
-    back = [Candidate(s.effect, float(str(s.evidence["residual_power_removed"])), why) for s in steps]
-    return [*back, *(c for c in offered if c.effect not in names)]
+def _doubted(found: Fit) -> bool:
+    """Whether something speaks against the effect that was added last."""
+    return any(objection(found, name) for name in found.model.effects[-1:])

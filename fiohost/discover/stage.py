@@ -12,11 +12,8 @@ from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit, no_matter
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.record import Record
+from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
-
-# Farther from its floor than this, a fit leads nowhere.
-LOST, UTTERLY_LOST = 2.0, 12.0
 
 
 @dataclass(frozen=True)
@@ -25,6 +22,7 @@ class Stage:
 
     ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
     ``scattered_models`` likewise, from benches whose shafts stand elsewhere within their counts: for intervals.
+    ``motion_rms`` is that of the output in one-second windows, of an angle about its mean.
     """
 
     fit: Fit
@@ -33,6 +31,13 @@ class Stage:
     judgements: tuple[Judgement, ...]
     floors: tuple[Floor, ...]
     excesses: tuple[Excess, ...]
+    motion_rms: float = float("inf")
+
+    @property
+    def left_pct(self) -> float:
+        """Error of one-second windows as a share of the motion in them."""
+        errors = pool([j.errors for j in self.judgements])
+        return 100.0 * errors.window_rms / self.motion_rms if errors else 0.0
 
     @property
     def at_floor(self) -> bool:
@@ -42,15 +47,6 @@ class Stage:
     def follows(self) -> bool:
         """Whether the model follows the data as closely as it matters, at the floor or a fraction of a count off."""
         return no_matter(self.excesses)
-
-    @property
-    def lost(self) -> bool:
-        """Whether what was fitted stays so far from its floor that gradients may lead anywhere."""
-        return self.fit.rms > LOST * self.floor_rms
-
-    @property
-    def utterly_lost(self) -> bool:
-        return self.fit.rms > UTTERLY_LOST * self.floor_rms
 
     @property
     def floor_rms(self) -> float:
@@ -108,4 +104,22 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
         found = floors(records, fitted.model, judgements, [*models, *scattered], rng)
         above = excesses(records, judgements, found)
-    return Stage(fitted, tuple(models), tuple(scattered[:REPLICAS]), tuple(judgements), tuple(found), tuple(above))
+    return Stage(
+        fitted,
+        tuple(models),
+        tuple(scattered[:REPLICAS]),
+        tuple(judgements),
+        tuple(found),
+        tuple(above),
+        motion_rms(records),
+    )
+
+
+def motion_rms(records: Sequence[Record]) -> float:
+    """How much there is to explain in one-second windows: rms of the output in them, of an angle about its mean."""
+    square, samples = 0.0, 0
+    for record in records:
+        for a, b in zip(record.windows[:-1].tolist(), record.windows[1:].tolist(), strict=True):
+            part = record.y[a:b] - (record.y[a:b].mean() if record.kind == ANGLE else 0.0)
+            square, samples = square + float(part @ part), samples + len(part)
+    return float(np.sqrt(square / max(samples, 1))) or float("inf")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from fiohost.discover.round import Candidate
+from fiohost.discover.candidate import Candidate
 from fiohost.discover.stage import Stage
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
@@ -18,8 +16,7 @@ from fiohost.noise.estimate import Noise
 class Step:
     """One effect that was added, what spoke for it, and the names it cannot be told from.
 
-    ``rival_models`` are the fitted models of those that only this data cannot tell from it; ``others`` all that could
-    have been added in its place, and ``base_cost`` the left-out error they began from.
+    ``rival_models`` are the fitted models of those that only this data cannot tell from it.
     """
 
     effect: str
@@ -27,8 +24,6 @@ class Step:
     evidence: dict[str, object]
     indistinguishable_from: tuple[str, ...]
     rival_models: Mapping[str, Model] = field(default_factory=dict)
-    others: tuple[Candidate, ...] = ()
-    base_cost: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -17,20 +17,27 @@ from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import STANDBY
 from fiohost.noise.covariance import COASTS, DRIVEN, REST
 from fiohost.noise.disturbance import Disturbance
-from fiohost.noise.estimate import Group, Motor, Noise, estimate, grouped, pieces
+from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, grouped, pieces
+from fiohost.noise.runs import NO_SCATTER, Pull, RunToRun, each_alone, estimate_runs, run_of, shrinking, varied
+from fiohost.noise.settings import SETTINGS as NOISE_SETTINGS
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 
 # Noise and model settle on each other within two rounds: the third changes neither by a tenth of its interval.
-ROUNDS = 2
+ROUNDS = 3
 # A speed below this share of the top speed is a digit of rounding.
 STANDS = 1e-6
 # Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
 WHITE_DRAWS, WHITE_SEED = 16, 2
+# By so much gain, friction and load are changed for a derivative: shares, and percent of duty.
+RUN_STEPS = (1e-3, 1e-2, 0.05)
+# A tolerance within which no step is worth taking.
+ENDLESS = 1e30
 # So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
 KINK_S = 0.1
 
@@ -49,8 +56,7 @@ class Settled:
     @property
     def deviance(self) -> float:
         """-2 log restricted likelihood, but for a constant of the windows; comparable where ``moving`` is the same."""
-        whiteners = [r.disturbance.whitener for r in self.records if r.disturbance is not None]
-        return self.fit.cost + sum(w.log_determinant for w in whiteners if w is not None)
+        return self.fit.cost + sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
 
 
 def motor_of(record: Record, model: Model) -> Motor:
@@ -82,16 +88,59 @@ def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np
     return residual, speed, np.where(moves, np.where(coasts, COASTS, DRIVEN), REST)
 
 
-def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record]) -> Noise:
-    """The noise that a fitted model leaves in windows of records."""
+def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record], runs: RunToRun = NO_SCATTER) -> Noise:
+    """The noise that a fitted model leaves in windows of records, what differs between ``runs`` taken out."""
     found: list[Group] = []
     for record, start in zip(records, starts, strict=True):
-        residual, speed, moving = simulated_in_windows(record, model, start)
+        own = varied(model, runs.by_run.get(run_of(record.name), np.zeros(3)))
+        residual, speed, moving = simulated_in_windows(record, own, start)
         motor = motor_of(record, model)
         driven = np.where(moving == DRIVEN, speed, 0.0)
         found += grouped(pieces(residual, driven, record.windows, motor), motor)
     declared = {r.noise_rms for r in records}
     return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
+
+
+def run_columns(record: Record, model: Model, start: Start) -> np.ndarray:
+    """Derivatives (n, 3) of what a record's windows show, as they are whitened, by what may differ between runs."""
+    flat = Flat.of(model)
+    tangent = Tangent(record, flat, start, windowed(record, flat, start)[1])
+    steps = np.diag(RUN_STEPS)
+    return np.column_stack([tangent.by(Flat.of(varied(model, s)), start, float(s.sum())) for s in steps])
+
+
+def pulls_of(found: Fit, records: Sequence[Record], columns: Sequence[np.ndarray]) -> dict[str, Pull]:
+    """How what a fit leaves in (whitened) windows pulls at what may differ between runs, by run."""
+    pulls: dict[str, Pull] = {}
+    flat = Flat.of(found.model)
+    for record, start, by in zip(records, found.starts, columns, strict=True):
+        left = windowed(record, flat, start)[0]
+        pull, name = Pull(by.T @ by, by.T @ left), run_of(record.name)
+        pulls[name] = pulls[name] + pull if name in pulls else pull
+    return pulls
+
+
+def with_runs(found: Fit, records: Sequence[Record], noise: Noise) -> tuple[Noise, tuple[Record, ...]]:
+    """The noise with what differs from run to run, and the whitened records weighed by it too."""
+    columns = [run_columns(r, found.model, s) for r, s in zip(records, found.starts, strict=True)]
+    noise = replace(noise, runs=estimate_runs(pulls_of(found, records, columns)))
+    if not noise.runs.known:
+        return noise, tuple(records)
+    return noise, with_scatter(found, records, noise, columns)
+
+
+def with_scatter(
+    found: Fit, records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarray] | None = None
+) -> tuple[Record, ...]:
+    """Whitened records weighed by what differs between runs too, around a fit."""
+    if columns is None:
+        columns = [run_columns(r, found.model, s) for r, s in zip(records, found.starts, strict=True)]
+    weighed = []
+    for record, by in zip(records, columns, strict=True):
+        assert record.disturbance is not None
+        own = shrinking(by, noise.runs.sd)
+        weighed.append(replace(record, disturbance=replace(record.disturbance, noise=noise, own=own)))
+    return tuple(weighed)
 
 
 def movement(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> tuple[np.ndarray, ...]:
@@ -102,11 +151,11 @@ def movement(records: Sequence[Record], model: Model, starts: Sequence[Start]) -
 def with_noise(
     records: Sequence[Record], model: Model, noise: Noise, moving: Sequence[np.ndarray]
 ) -> tuple[Record, ...]:
-    """The records with their windows whitened by a noise."""
+    """The records with their windows whitened by a noise; what differs between runs is left as it is."""
     found = []
     for record, moves in zip(records, moving, strict=True):
         times, edges = record.excitation.times_s, record.windows
-        whitener = Whitener.of(times, moves, edges[:-1], edges[1:], motor_of(record, model), noise)
+        whitener = Whitener.of(times, moves, record.weights, edges[:-1], edges[1:], motor_of(record, model), noise)
         found.append(replace(record, every=1, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 
@@ -127,17 +176,25 @@ def settle(
     starts: Sequence[Start] | None = None,
     moving: Sequence[np.ndarray] | None = None,
     rounds: int = ROUNDS,
+    bare_first: bool = True,
 ) -> Settled:
     """Fit a model to windows and whiten them by what it leaves, in turn; ``moving`` where another model's movement is
-    to be kept.
+    to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
-    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=20, tolerance=1e-4)
+    most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
+    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=most, tolerance=tolerance)
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
-    whitened = tuple(bare)
+    whitened, noise = tuple(bare), NONE
+    several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
+    if several:  # else what differs between runs would be taken for a slow torque
+        columns = [run_columns(r, fitted.model, s) for r, s in zip(bare, fitted.starts, strict=True)]
+        noise = replace(NONE, runs=each_alone(pulls_of(fitted, bare, columns)))
     for _ in range(rounds):
-        noise = noise_of(fitted.model, fitted.starts, bare)
+        noise = noise_of(fitted.model, fitted.starts, bare, noise.runs)
         whitened = with_noise(bare, fitted.model, noise, moves)
+        if several:
+            noise, whitened = with_runs(fitted, whitened, noise)
         fitted = fit(fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5)
     return Settled(fitted, whitened, noise, moves)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.estimation.predict import Flat, errors, windowed
+from fiohost.estimation.predict import Begun, Flat, errors, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_zeros
 from fiohost.estimation.tangent import Tangent
@@ -68,7 +68,7 @@ class _Point:
 
     p: np.ndarray
     starts: list[Start]
-    begins: list[np.ndarray] = field(default_factory=list)
+    begins: list[Begun] = field(default_factory=list)
 
 
 class _Problem:
@@ -95,7 +95,8 @@ class _Problem:
         pairs = zip(self.records, point.starts, strict=True)
         if not self.windows:
             return [errors(record, flat, start) for record, start in pairs]
-        found = [windowed(record, flat, start) for record, start in pairs]
+        near: list[Begun | None] = [*point.begins] or [None] * len(point.starts)
+        found = [windowed(record, flat, start, near=n) for (record, start), n in zip(pairs, near, strict=True)]
         point.begins = [begins for _, begins in found]
         return [residual for residual, _ in found]
 
@@ -194,7 +195,7 @@ def _solve(
             step = moved - values
             if float(step @ gradient) + nuisance_gain <= PROMISED * tolerance * cost:
                 break
-            trial = _Point(point.p.copy(), list(point.starts))
+            trial = _Point(point.p.copy(), list(point.starts), point.begins)
             trial.p[problem.slots] = moved
             for i, (record, part) in enumerate(zip(problem.records, parts, strict=True)):
                 if part.size == 0:
@@ -300,7 +301,7 @@ def first_guess(model: Model, records: Sequence[Record]) -> Model:
     ratios: list[float] = []
     for record in records:
         times = record.excitation.times_s
-        duty = record.excitation.duties_pct[1:]
+        duty = record.acting_pct
         if record.kind == ANGLE:
             span = max(1, round(0.1 / record.sample_time_s))
             if len(times) <= span:
@@ -317,8 +318,11 @@ def first_guess(model: Model, records: Sequence[Record]) -> Model:
     return model.with_values({"linear.gain_deg_s_per_pct": max(float(np.percentile(ratios, 75)), 1e-9)})
 
 
-def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: bool = False) -> Fit:
-    """Fit a declared model: gain from the data, several lags, windows first, then whole runs from the best of them.
+def fit_from_scratch(
+    model: Model, records: Sequence[Record], *, keep_start: bool = False, windows: bool = False
+) -> Fit:
+    """Fit a declared model: gain from the data, several lags, windows first, then whole runs from the best of them
+    unless only ``windows`` are asked for.
 
     ``keep_start`` also tries the model's own values, as when it was read from a file.
     """
@@ -328,7 +332,7 @@ def fit_from_scratch(model: Model, records: Sequence[Record], *, keep_start: boo
     if keep_start or not starts:
         starts.append(model)
     near = best_of(starts, lambda m: fit(m, records, windows=True, max_iterations=15, tolerance=1e-3))
-    return fit(near.model, records)
+    return near if windows else fit(near.model, records)
 
 
 def unchanged(

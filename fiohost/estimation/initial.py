@@ -115,7 +115,7 @@ def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: flo
         total = 0.0
         for a, b, speed in windows:
             base = start_state(Start(float(data[a]), speed), seen.p, seen.on)[None, :]
-            residuals, _, _ = fitted_windows(record, seen, data, (np.array([a]), np.array([b])), base, True)
+            residuals, _, _, _ = fitted_windows(record, seen, data, (np.array([a]), np.array([b])), base, True)
             total += float(residuals @ residuals)
         return total
 
@@ -162,7 +162,7 @@ def _first_second(record: Record, flat: Flat, y: np.ndarray, warmth: float) -> S
 
     def attempt(play: float, drift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         base = start_state(Start(angle, speed, play, drift, warmth), flat.p, flat.on)[None, :]
-        residuals, shifts, speeds = fitted_windows(record, flat, y, first, base, not record.at_rest)
+        residuals, shifts, speeds, _ = fitted_windows(record, flat, y, first, base, not record.at_rest)
         return residuals[: record.first_second()], shifts, speeds
 
     def cost(play: float, drift: float) -> float:

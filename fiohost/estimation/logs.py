@@ -102,7 +102,9 @@ def identify(
     the logs do not say it. Raises FiohostError.
     """
     given = [logs] if isinstance(logs, (Log, str, Path)) else list(logs)
-    read = [log if isinstance(log, Log) else Log.read(log) for log in given]
+    from fiohost.importing.automatic import read_any
+
+    read = read_any(given)
     if not read:
         raise DataError("there is no log to identify from")
     if method not in METHODS:
@@ -161,7 +163,9 @@ def _by_steps(logs: Sequence[Log], kp: float) -> Identification:
     steps = []
     for log in logs:
         delay_s = log.command_delay_ticks * log.sample_time_s
-        steps += steps_of(log.time_s, log.columns["ref_deg"], log.output, log.duty_pct, _limit_of(log), delay_s)
+        steps += steps_of(
+            log.time_s, log.columns["ref_deg"], log.output, log.duty_pct, _limit_of(log), delay_s, log.output_quantum
+        )
     found = [(s.zeta, s.omega_n_rad_s) for s in steps if s.zeta is not None and s.omega_n_rad_s is not None]
     if not found:
         raise DataError(
@@ -171,7 +175,7 @@ def _by_steps(logs: Sequence[Log], kp: float) -> Identification:
     rows = np.array([(*open_loop(zeta, omega, kp), zeta, omega) for zeta, omega in found])
     mean = rows.mean(axis=0)
     spread = rows.std(axis=0, ddof=1) if len(rows) > 1 else np.full(4, np.inf)
-    half = stdtrit(max(len(rows) - 1, 1), 0.975) * spread / np.sqrt(len(rows))
+    half = stdtrit(max(len(rows) - 1, 1), 0.975) * spread / np.sqrt(len(rows)) + _open_by_counts(steps, kp)
     parameters = {name: _estimate(name, mean[i], half[i]) for i, name in enumerate((GAIN, TAU, ZETA, OMEGA))}
     notes = []
     if len(found) < len(steps):
@@ -183,6 +187,21 @@ def _by_steps(logs: Sequence[Log], kp: float) -> Identification:
     curves = [_replayed(log, mean[2], mean[3]) for log in logs]
     kept = {name: float(spread[i]) for i, name in enumerate((GAIN, TAU, ZETA, OMEGA)) if len(rows) > 1}
     return Identification("step", "reference", kp, parameters, *_errors(curves), curves, steps, kept, notes)
+
+
+def _open_by_counts(steps: Sequence[LoopStep], kp: float) -> np.ndarray:
+    """How far half a count of overshoot and the plateau of the peak leave K, tau, zeta and wn open (4).
+
+    Counts err alike in repeated steps, so this does not shrink with their number: it is the mean over the steps.
+    """
+    halves = []
+    for step in steps:
+        corners = step.corners()
+        if corners and step.zeta is not None and step.omega_n_rad_s is not None:
+            own = np.array((*open_loop(step.zeta, step.omega_n_rad_s, kp), step.zeta, step.omega_n_rad_s))
+            ends = np.array([(*open_loop(zeta, omega, kp), zeta, omega) for zeta, omega in corners])
+            halves.append(np.max(np.abs(ends - own), axis=0))
+    return np.asarray(np.mean(halves, axis=0))
 
 
 def _replayed(log: Log, zeta: float, omega: float) -> Curve:

@@ -153,9 +153,11 @@ def fitted_windows(
     windows: tuple[np.ndarray, np.ndarray],
     bases: np.ndarray,
     free_speed: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    columns: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Residuals (n), angle shifts (m) and speeds (m) of windows, by first sample and that after the last (m each),
-    fitted from ``bases`` (m, STATE_SIZE); no residuals between them.
+    fitted from ``bases`` (m, STATE_SIZE), and the outputs' derivatives (2, n) by speed and angle, of which those of a
+    fit nearby serve as ``columns``; no residuals between windows.
     """
     ex = record.excitation
     turned = turned_deg(record, flat)
@@ -166,13 +168,14 @@ def fitted_windows(
     longest = int(np.max(lasts - firsts))
     residuals = np.zeros(len(record))
     shifts, omegas = np.zeros(len(firsts)), np.zeros(len(firsts))
-    work = np.empty((4, longest))
+    known = columns is not None
+    own = np.zeros((2, len(record))) if columns is None else columns.copy()
     fit_windows(
         ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, firsts, lasts, bases, free_speed,
         flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, speed_step(flat), residuals, shifts,
-        omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), work[0], work[1], work[2], work[3],
+        omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), np.empty(longest), np.empty(longest), known, own,
     )  # fmt: skip
-    return residuals, shifts, omegas
+    return residuals, shifts, omegas, own
 
 
 def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: np.ndarray | None = None) -> np.ndarray:
@@ -182,18 +185,35 @@ def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: n
     return np.asarray(record.weights * ((record.y if y is None else y) - free_output(record, flat, start)))
 
 
-def windowed(record: Record, flat: Flat, start: Start, y: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class Begun:
+    """Where a record's windows begin (m, STATE_SIZE) under a model, and the outputs' derivatives (2, n) by their speed
+    and angle: with a model nearby they are found sooner from there.
+    """
+
+    states: np.ndarray
+    columns: np.ndarray
+
+
+def windowed(
+    record: Record, flat: Flat, start: Start, y: np.ndarray | None = None, near: Begun | None = None
+) -> tuple[np.ndarray, Begun]:
     """``in_windows`` of the free run from a start, whitened where the record's noise is known."""
     flat = flat.from_zero(start.zero)
-    residuals, begins = in_windows(record, flat, free_states(record, flat, start), y)
-    return whitened(record, residuals), begins
+    if near is None:
+        residuals, begun = in_windows(record, flat, free_states(record, flat, start), y)
+        return whitened(record, residuals), begun
+    bases = near.states
+    if flat.remembers:  # what it keeps in mind beside angle and speed is that of the free run
+        states = free_states(record, flat, start)[record.looked_at()[0]]
+        bases = moved(states, bases[:, THETA], bases[:, OMEGA])
+    residuals, begun = _from_bases(record, flat, bases, y, near.columns)
+    return whitened(record, residuals), begun
 
 
 def whitened(record: Record, series: np.ndarray) -> np.ndarray:
     """A series (n) over a record's windows as a fit sees it: whitened where the record's noise is known."""
-    if record.disturbance is None or record.disturbance.whitener is None:
-        return series
-    return record.disturbance.whitener.apply(series)
+    return record.disturbance.whitened(series) if record.disturbance else series
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
@@ -203,15 +223,17 @@ def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarr
     return in_windows(record, flat, states, y)[0]
 
 
-def in_windows(
-    record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """``window_residuals``, and the states (m, STATE_SIZE) in which the windows begin."""
+def in_windows(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> tuple[np.ndarray, Begun]:
+    """``window_residuals``, and where the windows begin."""
+    return _from_bases(record, flat, np.ascontiguousarray(states[record.looked_at()[0]]), y)
+
+
+def _from_bases(
+    record: Record, flat: Flat, bases: np.ndarray, y: np.ndarray | None, columns: np.ndarray | None = None
+) -> tuple[np.ndarray, Begun]:
     data = record.y if y is None else y
-    windows = record.looked_at()
-    bases = np.ascontiguousarray(states[windows[0]])
-    residuals, shifts, omegas = fitted_windows(record, flat, data, windows, bases, True)
-    return residuals, moved(bases, bases[:, THETA] + shifts, omegas)
+    residuals, shifts, omegas, found = fitted_windows(record, flat, data, record.looked_at(), bases, True, columns)
+    return residuals, Begun(moved(bases, bases[:, THETA] + shifts, omegas), found)
 
 
 def moved(states: np.ndarray, thetas: np.ndarray, omegas: np.ndarray) -> np.ndarray:

@@ -82,10 +82,45 @@ class Record:
         firsts, lasts = self.windows[:-1][:: self.every], self.windows[1:][:: self.every]
         return np.ascontiguousarray(firsts), np.ascontiguousarray(lasts)
 
+    @property
+    def acting_pct(self) -> np.ndarray:
+        """Duty (n) in percent that acts at each sample."""
+        ex = self.excitation
+        return ex.duties_pct[np.searchsorted(ex.act_times_s, ex.times_s, side="right")]
+
     def first_second(self) -> int:
         """Number of samples in the first second, at least a handful."""
         times = self.excitation.times_s
         return min(max(int(np.searchsorted(times, times[0] + 1.0)), REST_SAMPLES), len(self))
+
+
+def thinned(record: Record, step_s: float) -> Record:
+    """A record with readings about so far apart, all commands as they are; itself where they are not closer.
+
+    Readings of a millisecond weigh accelerations that no model of a motor follows; of a mean speed those between are
+    averaged.
+    """
+    every = int(step_s / record.sample_time_s + 1e-9)
+    if every < 2:
+        return record
+    rows = np.arange(0, len(record), every)
+    y = record.y[rows]
+    if record.kind == MEAN_SPEED:
+        sums = np.cumsum(record.y)
+        y = np.concatenate((y[:1], np.diff(sums[rows]) / every))
+    times, segments = record.excitation.times_s[rows], record.segments[rows]
+    quantum = record.quantum / (every if record.kind == MEAN_SPEED else 1)
+    sample_time_s = record.sample_time_s * every
+    return replace(
+        record,
+        excitation=replace(record.excitation, times_s=times),
+        y=y,
+        quantum=quantum,
+        sample_time_s=sample_time_s,
+        segments=segments,
+        windows=cut_windows(times, segments=segments),
+        weights=rest_weights(y, record.kind, quantum, sample_time_s),
+    )
 
 
 def cut_windows(times_s: np.ndarray, length_s: float = 1.0, segments: np.ndarray | None = None) -> np.ndarray:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Flat, free_states, moved, speed_step, turned_deg, whitened
+from fiohost.estimation.predict import Begun, Flat, free_states, moved, speed_step, turned_deg, whitened
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -22,12 +22,12 @@ ALIKE = 1e-12
 
 
 class Tangent:
-    """A record's windows around the states (m, STATE_SIZE) in which they begin under one model."""
+    """A record's windows around where they begin under one model."""
 
-    def __init__(self, record: Record, flat: Flat, start: Start, begins: np.ndarray) -> None:
+    def __init__(self, record: Record, flat: Flat, start: Start, begun: Begun) -> None:
         self.record = record
         self.flat = flat.from_zero(start.zero)
-        self.begins = begins
+        self.begins = begun.states
         self.firsts, self.lasts = record.looked_at()
         self.window = np.full(len(record), len(self.firsts))  # of each sample; the last is that of none
         for i, (a, b) in enumerate(zip(self.firsts, self.lasts, strict=True)):

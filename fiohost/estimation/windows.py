@@ -148,14 +148,16 @@ def fit_windows(  # type: ignore[no-untyped-def]
     states,
     y0,
     y1,
-    by_speed,
-    by_angle,
+    known,
+    columns,
 ):
     """Fit angle shift and speed of the windows from ``firsts`` (m) up to ``lasts`` (m); ``bases`` (m, states) are the
     free run's states at their first samples.
 
     Writes ``residuals`` (n), measured minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques
-    depend on the angle, so that a shift is not just added to the output. The last six arguments are work space.
+    depend on the angle, so that a shift is not just added to the output. ``columns`` (2, n) are the outputs'
+    derivatives by speed and angle; where they are ``known`` from nearby they serve as long as steps do what they
+    promise. The four arguments before ``known`` are work space.
     """
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
@@ -180,14 +182,17 @@ def fit_windows(  # type: ignore[no-untyped-def]
             cost += (y[a + i] - y0[i]) ** 2
         damping = 1e-9
         aa, sa, ss = 0.0, 0.0, 0.0
-        serving, moved = False, False
+        by_speed, by_angle = columns[0, a:b], columns[1, a:b]
+        serving, moved, summed = known, known, False
         for _ in range(16):
             if not serving:
-                serving, moved = True, False
+                moved, summed = False, False
                 _speed_and_angle(
                     times, act_times, duties, modes, clock, y, a, b, base, shift, omega, free_speed, bends, kind, seen,
                     substep, p, on, speed_step, state, states, y0, y1, by_speed, by_angle,
                 )  # fmt: skip
+            if not summed:
+                serving, summed = True, True
                 ss, sa, aa = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0
                 for i in range(n):
                     ss += by_speed[i] * by_speed[i]

@@ -18,19 +18,24 @@ import numpy as np
 
 from fiohost.errors import DataError
 from fiohost.labs.constants import BOUNDS, MotorConstants
+from fiohost.labs.inductance import inductance_H
 from fiohost.labs.readings import Readings
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from fiohost.report.panels import Panel
+
 DRAWS = 4000
 ITERATIONS = 50
 LEAST_LINE = 3  # points of a straight line that shall have a spread
 # The text's values (tables D-4 to D-6 and section D-1-4) and its run-down, measured
-TEXT = {"Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00131, "tau_m": 0.081, "J": 0.00233}
+TEXT = {"La": 0.0047, "Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00131, "tau_m": 0.081, "J": 0.00233}
 TEXT_FULL_V = 4.5
-UNITS = {"Ra": "ohm", "Ki": "N m/A", "Kb": "V s/rad", "B": "N m s", "Tc": "N m", "tau_m": "s", "J": "kg m2"}
+GEAR_STAGES = (((10, 30, 40), 4), ((9, 27), 3), ((10, 20), 2), ((10, 13, 20), 2))  # table D-1
+GEAR_RATIO = 48
+UNITS = {"La": "H", "Ra": "ohm", "Ki": "N m/A", "Kb": "V s/rad", "B": "N m s", "Tc": "N m", "tau_m": "s", "J": "kg m2"}
 
 
 @dataclass(frozen=True)
@@ -162,7 +167,11 @@ def solve(readings: Readings) -> tuple[dict[str, Constant], Lines]:
             error = taus.std(ddof=1) / math.sqrt(len(taus))
             tau[1:] += error * rng.standard_t(len(taus) - 1, DRAWS)
         found["tau_m"] = _constant("tau_m", tau, len(taus) - 1, len(taus))
-        found["J"] = _constant("J", tau * (B + Ki * Kb / R), len(taus) - 1, len(taus))
+        J = tau * (B + Ki * Kb / R)
+        found["J"] = _constant("J", J, len(taus) - 1, len(taus))
+        winding = inductance_H(readings, *(float(value[0]) for value in (R, Ki, Kb, J, B, Tc)))
+        if winding is not None:
+            found["La"] = Constant("La", winding[0], None, None, winding[2])
     return found, lines
 
 
@@ -174,10 +183,16 @@ def _constant(name: str, values: np.ndarray, spare: int, n: int) -> Constant:
     return Constant(name, float(values[0]), float(low), float(high), n)
 
 
-def constants_of(found: Mapping[str, Constant], readings: Readings, L_H: float) -> MotorConstants:
-    """The set of constants that the other experiments take. Raises DataError where J is missing."""
+def constants_of(found: Mapping[str, Constant], readings: Readings, L_H: float | None = None) -> MotorConstants:
+    """The set of constants that the other experiments take, the inductance as given or as measured.
+
+    Raises DataError where J or the inductance is missing.
+    """
     if "J" not in found:
         raise DataError("no time constant among the readings, so no inertia: the set of constants is not whole")
+    if L_H is None and "La" not in found:
+        raise DataError("no reading tells the inductance: give --inductance, or rows of inductance or rise")
+    L_H = found["La"].value if L_H is None else L_H
     dry = max(found["Tc"].value, 0.0) if "Tc" in found and _is_there(found["Tc"]) else 0.0
     return MotorConstants(
         R_ohm=found["Ra"].value, L_H=L_H, Kt_Nm_per_A=found["Ki"].value, Ke_Vs_per_rad=found["Kb"].value,
@@ -199,9 +214,11 @@ def predicted_run_down(B: float, Tc: float, J: float, from_rad_s: float) -> floa
     return J / B * math.log((from_rad_s + Tc / B) / (left + Tc / B))
 
 
-def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
-    """The constants as a result. Raises DataError."""
+def characterise(readings: Readings, L_H: float | None, target: str) -> LabResult:
+    """The constants as a result; ``L_H`` is the inductance where it is known. Raises DataError."""
     found, lines = solve(readings)
+    if L_H is not None:
+        found["La"] = Constant("La", L_H, None, None, 1)
     rows: list[list[Cell]] = []
     for name, c in found.items():
         text = TEXT.get(name)
@@ -211,6 +228,8 @@ def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
     tables = [
         Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows),
         _powers(readings, found),
+        *([_speed_torque(readings, found)] if len(readings.lift_speed) > 1 else []),
+        gear_table(found),
     ]
     why = "; ".join(f"{name}: {text}" for name, text in _why(found, lines, readings).items())
     answers = [Answer("How was each constant found, and where would the text's way have led?", why)]
@@ -219,6 +238,8 @@ def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
     if readings.run_down and "J" in found:
         answers.append(_run_down_answer(readings, found))
     answers.append(_check_constants(found))
+    if len(readings.lift_speed) > 1:
+        answers.append(_speed_torque_answer(readings, found))
     notes = []
     if abs(readings.supply_V - TEXT_FULL_V) > 0.01:
         notes.append(f"full duty is {readings.supply_V:g} V here and {TEXT_FULL_V:g} V in the text: another supply, or "
@@ -237,9 +258,11 @@ def characterise(readings: Readings, L_H: float, target: str) -> LabResult:
         tables=tuple(tables),
         answers=tuple(answers),
         notes=tuple(notes),
-        values={"port": readings.port, "constants": values, "L_H": L_H, "source": readings.source},
-        figures={"characterise": lambda: _draw(readings, found, lines)},
-    )
+        values={"port": readings.port, "constants": values, "L_H": found["La"].value if "La" in found else None,
+                "gear_ratio": GEAR_RATIO, "source": readings.source, **_curves(readings, found)},
+        figures={"characterise": lambda: _draw(readings, found, lines),
+                 "characterise_curves": lambda: _draw_curves(readings, found)},
+    )  # fmt: skip
 
 
 def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dict[str, str]:
@@ -249,6 +272,7 @@ def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dic
     emf = "" if lines.emf is None else f"; slope of V on w alone {lines.emf.slope:.4f}"
     half = ". The text halves the wires' voltage" if TEXT["Ra"] * 1.6 < R else ""
     why = {
+        "La": _why_La(readings),
         "Ra": f"slope through zero; mean of ratios, as the text: {np.mean(ratios):.3f}{half}",
         "Ki": f"1/slope of i on T is {1.0 / lines.lift.slope:.4f}; viscous friction in it: {B * R / Kb:.4f}",
         "Kb": f"(V - Ra i) on w{emf}",
@@ -262,6 +286,16 @@ def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dic
     return why
 
 
+def _why_La(readings: Readings) -> str:
+    if readings.inductance_H:
+        return "by a meter"
+    return (
+        "the stalled winding's time constant, with R + Ra"
+        if readings.decay
+        else ("the current's rise in the first ticks after a step" if readings.rise else "as given")
+    )
+
+
 def _powers(readings: Readings, found: Mapping[str, Constant]) -> Table:
     """Fig. D-22: viscous friction as the text takes it, power by power."""
     Ki = found["Ki"].value
@@ -272,6 +306,63 @@ def _powers(readings: Readings, found: Mapping[str, Constant]) -> Table:
     ]  # fmt: skip
     columns = ("power %", "V", "rad/s", "A", "Ki i / w N m s")
     return Table("Friction taken as viscous, power by power (Eq. D-11, Fig. D-22)", columns, rows)
+
+
+def _speed_torque(readings: Readings, found: Mapping[str, Constant]) -> Table:
+    """Fig. D-21, and viscous friction lift by lift (Eq. D-10)."""
+    Ki = found["Ki"].value
+    rows: list[list[Cell]] = [
+        [torque, speed, amps, (Ki * amps - torque) / speed] for torque, amps, speed in readings.lift_speed
+    ]
+    columns = ("load N m", "speed rad/s", "A", "B by Eq. D-10 N m s")
+    return Table("Speed against torque (Fig. D-21)", columns, rows)
+
+
+def speed_torque_line(readings: Readings) -> tuple[float, float]:
+    """Slope in rad/s per N m and speed without load of the line through the lifts."""
+    torque, _, speed = np.array(readings.lift_speed).T
+    slope, begin = np.polyfit(torque, speed, 1)
+    return float(slope), float(begin)
+
+
+def _speed_torque_answer(readings: Readings, found: Mapping[str, Constant]) -> Answer:
+    Ki, Kb, R, B = (found[name].value for name in ("Ki", "Kb", "Ra", "B"))
+    slope, begin = speed_torque_line(readings)
+    friction = [(Ki * amps - torque) / speed for torque, amps, speed in readings.lift_speed]
+    return Answer(
+        "How does the speed fall with the load (Fig. D-21), and what friction do the lifts show (Eq. D-10)?",
+        f"w = {slope:.2f} T + {begin:.3f} rad/s; the constants give -1/(B + Ki Kb/Ra) = {-1.0 / (B + Ki * Kb / R):.2f} "
+        f"rad/s per N m. B by Eq. D-10 is {float(np.mean(friction)):.5f} N m s on average; with dry friction it grows "
+        "as the shaft gets slower",
+    )
+
+
+def gear_table(found: Mapping[str, Constant]) -> Table:
+    """The constants at the motor's own shaft, behind the gears of table D-1 and without what they lose."""
+    at_motor = {"Ki": 1.0 / GEAR_RATIO, "Kb": 1.0 / GEAR_RATIO, "B": GEAR_RATIO**-2, "J": GEAR_RATIO**-2}
+    rows: list[list[Cell]] = [
+        [name, UNITS[name], found[name].value, factor * found[name].value]
+        for name, factor in at_motor.items() if name in found
+    ]  # fmt: skip
+    stages = ", ".join(f"{'/'.join(str(t) for t in teeth)} 1:{ratio}" for teeth, ratio in GEAR_STAGES)
+    return Table(
+        f"Gear train 1:{GEAR_RATIO} (table D-1: {stages})", ("constant", "unit", "output shaft", "motor's shaft"), rows
+    )
+
+
+def _curves(readings: Readings, found: Mapping[str, Constant]) -> dict[str, object]:
+    """The speed-torque line and friction by power, for programs."""
+    Ki = found["Ki"].value
+    told: dict[str, object] = {
+        "friction_by_power": [
+            {"power_pct": 100.0 * r.voltage_V / readings.supply_V, "B_Nms": Ki * r.current_A / r.speed_rad_s}
+            for r in readings.no_load if r.current_A is not None
+        ]
+    }  # fmt: skip
+    if len(readings.lift_speed) > 1:
+        slope, begin = speed_torque_line(readings)
+        told |= {"speed_torque_slope_rad_s_per_Nm": slope, "speed_torque_no_load_rad_s": begin}
+    return told
 
 
 def _run_down_answer(readings: Readings, found: Mapping[str, Constant]) -> Answer:
@@ -299,6 +390,57 @@ def _check_constants(found: Mapping[str, Constant]) -> Answer:
         "their intervals are apart" if apart else "no difference can be seen, as for an ideal motor"
     )  # fmt: skip
     return Answer("Are torque and back-emf constants equal?", f"{told}: {meaning}")
+
+
+def _draw_curves(readings: Readings, found: Mapping[str, Constant]) -> Figure:
+    """Figs. D-21 to D-23: speed against torque, friction against power, the run-down."""
+    from fiohost.report.panels import Curve, Panel, plot_panels
+
+    Ki, B = found["Ki"].value, max(found["B"].value, 0.0)
+    panels = []
+    if len(readings.lift_speed) > 1:
+        torque, _, speed = np.array(readings.lift_speed).T
+        slope, begin = speed_torque_line(readings)
+        ends = np.array([0.0, float(torque.max())])
+        line = Curve(ends, begin + slope * ends, f"slope {slope:.3g} rad/s per N m", 0, "model")
+        panels.append(Panel([Curve(torque, speed, "readings", -2, "points"), line], "speed (rad/s)",
+                            "torque of the mass (N m)", "Speed against torque (Fig. D-21)"))  # fmt: skip
+    rows = [(100.0 * abs(r.voltage_V) / readings.supply_V, Ki * r.current_A / r.speed_rad_s)
+            for r in readings.no_load if r.current_A is not None]  # fmt: skip
+    power, friction = np.array(sorted(rows)).T
+    panels.append(
+        Panel(
+            [
+                Curve(power, friction, "Ki i / w", -2, "points"),
+                Curve([0.0, 100.0], [B, B], f"B = {B:.3g} N m s", 0, "model"),
+            ],
+            "friction as viscous (N m s)",
+            "power (%)",
+            "Friction against power (Fig. D-22)",
+            y_limits=(0.0, 1.2 * float(friction.max())),
+        )
+    )
+    if readings.run_down and "J" in found:
+        panels.append(_run_down_panel(readings, found))
+    return plot_panels(panels, f"Curves of the motor, {readings.source}", columns=1, panel_height=2.6)
+
+
+def _run_down_panel(readings: Readings, found: Mapping[str, Constant]) -> Panel:
+    """The run-down (Fig. D-23): measured where a bench showed it, and as the constants say."""
+    from fiohost.report.panels import Curve, Panel
+
+    time_s, from_rad_s = readings.run_down[0]
+    begin = from_rad_s or max(abs(r.speed_rad_s) for r in readings.no_load)
+    J, B = found["J"].value, max(found["B"].value, 1e-12)
+    Tc = max(found["Tc"].value, 0.0) if "Tc" in found else 0.0
+    seconds, speeds = (np.array(values) for values in readings.run_down_curve)
+    end = float(seconds[-1]) if seconds.size else 4.0 * time_s
+    grid = np.linspace(0.0, end, 400)
+    falls = np.maximum((begin + Tc / B) * np.exp(-B / J * grid) - Tc / B, 0.0)
+    curves = [Curve(seconds, speeds, "measured", -2, "plain")] if seconds.size else []
+    curves += [Curve(grid, falls, "by the constants", 0, "model"),
+               Curve([time_s], [np.exp(-1.0) * begin], f"37 % after {time_s:.3g} s", 1, "points")]  # fmt: skip
+    return Panel(curves, "speed (rad/s)", "time since the input is off (s)", "Run-down (Fig. D-23)")
 
 
 def _draw(readings: Readings, found: Mapping[str, Constant], lines: Lines) -> Figure:

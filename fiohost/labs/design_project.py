@@ -111,9 +111,12 @@ def tuned(session: Session, task: Task) -> Gains:
     """P and D gains that settle soonest on the model at the bench's ticks, within half of the overshoot allowed.
 
     Half, so that a bench which differs from the model still has room. Two grids, the second about the first one's best.
+    A model of constants is the same both ways, so the gains are those of the angle's size: counts, which are cut off
+    downwards, would make two designs of one.
     """
+    task = replace(task, angle_deg=abs(task.angle_deg))
     q, way = session.constants, session.way
-    plant = Plant.of(q.model(volt_limit_V=session.limits.volts, current_limit_A=session.limits.amperes))
+    plant = Plant.of(q.model(volt_limit_V=session.bench_limits.volts, current_limit_A=session.bench_limits.amperes))
     scale = math.radians(1.0) * q.pct_per_volt
 
     def took(kp: float, kd: float) -> float:
@@ -220,7 +223,7 @@ def _model(session: Session, gains: Gains, task: Task) -> Run:
         return None
 
     law = _law(gains, task)(way, q.pct_per_volt)
-    return play_model(q, law, RUN_S, way, limits=session.limits, watch=watch)
+    return play_model(q, law, RUN_S, way, limits=session.bench_limits, watch=watch)
 
 
 _COLUMNS = ("case", "controller", "who", "overshoot deg", "settled s", "lets go s", "at deg", "at rad/s",

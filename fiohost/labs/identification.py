@@ -2,8 +2,9 @@
 
 A square wave of 170 and 190 degrees with C(s) = 1 and a deadband precompensator is run (INC451 lab 2, section 2.4.2.2).
 K and tau follow from overshoot and peak time of its steps, and from a fit of the loop's second-order form. A third fit,
-of a motor with dry friction to the commands, says what the two leave out: its loop is simulated with the friction and
-without, and both methods are used on what it gives.
+of a motor with dry friction and a winding to the commands, says what the two leave out: its loop is simulated with the
+friction and without, and both methods are used on what it gives. Its intervals count where within a count the shaft
+may have stood, which repeated motion does not average out.
 """
 
 from __future__ import annotations
@@ -44,8 +45,10 @@ KP = 1.0
 REPEATS = 3
 FOLLOWS = 0.5  # share of the step that the shaft must at least turn
 EXPLAINS_DEG = 2.0  # a fit with friction that leaves more than this, rms, does not explain the run
-MODEL = "linear+coulomb_friction"
+MODEL = "linear+coulomb_friction+armature_inductance"
+REPLICAS = 6  # fits to the same run with the shaft elsewhere within its count
 LEVEL = "coulomb_friction.level_pct"
+WINDING = "armature_inductance.time_constant_s"
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Found:
     left_deg: np.ndarray
     with_friction: Mapping[str, Identification]
     without: Mapping[str, Identification]
+    replicas: Sequence[Model]
 
     @property
     def left_rms_deg(self) -> float:
@@ -80,7 +84,7 @@ def identification(bench: Bench, folder: Path, profile: BenchProfile | None = No
         raise DataError(f"neither method identifies this loop: {'; '.join(said)}")
     with_friction, without = _simulated(log, friction.model, control), _simulated(log, linear, bare)
     left_deg = friction.errors([record_from_log(log)])[0]
-    found = Found(measured, said, friction, left_deg, with_friction, without)
+    found = Found(measured, said, friction, left_deg, with_friction, without, replicas(log, friction))
     models = {"model with friction": friction.model}
     models |= {f"model of {method}": one.model for method, one in measured.items()}
     files = {"log": str(log.path)}
@@ -103,6 +107,18 @@ def run_and_fit(bench: Bench, folder: Path, control: ControlSettings) -> tuple[L
             "identifies nothing; the deadband is larger than what is compensated, or the motor is not connected"
         )
     return log, fit_from_scratch(Model.parse(MODEL), [record_from_log(log)])
+
+
+def replicas(log: Log, fitted: Fit, count: int = REPLICAS) -> list[Model]:
+    """Models as fitted to the run that the fitted model would have read, from different places within a count."""
+    record = record_from_log(log)
+    exact = record.y - fitted.errors([record])[0]
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(count):
+        counts = np.floor((exact + rng.uniform(0.0, record.quantum)) / record.quantum) * record.quantum
+        found.append(fit_from_scratch(fitted.model, [replace(record, y=counts)]).model)
+    return found
 
 
 def _both(log: Log) -> tuple[dict[str, Identification], list[str]]:
@@ -138,7 +154,7 @@ def _simulated(log: Log, model: Model, control: ControlSettings) -> dict[str, Id
 def _result(
     bench: Bench, known: BenchProfile, control: ControlSettings, log: Log, found: Found, files: Mapping[str, str]
 ) -> LabResult:
-    estimated = estimates(found.friction)
+    estimated = estimates(found.friction, found.replicas)
     level = estimated[LEVEL].value
     gain, tau = estimated[f"linear.{GAIN}"], estimated[f"linear.{TAU}"]
     zeta, omega = closed_loop(gain.value, tau.value, KP)
@@ -198,7 +214,9 @@ def _brief(found: Identification) -> dict[str, float]:
 def _step_table(log: Log, control: ControlSettings) -> Table:
     """The figures that are read off an oscilloscope, over all steps."""
     delay_s = log.command_delay_ticks * log.sample_time_s
-    steps = steps_of(log.time_s, log.columns["ref_deg"], log.output, log.duty_pct, control.limit_pct, delay_s)
+    steps = steps_of(
+        log.time_s, log.columns["ref_deg"], log.output, log.duty_pct, control.limit_pct, delay_s, log.output_quantum
+    )
     shown = {
         "overshoot (%)": "overshoot_pct", "rise 10-90 % (s)": "rise_s", "peak (s)": "peak_s",
         "settling 2 % (s)": "settling_2_s", "settling 5 % (s)": "settling_5_s", "error (deg)": "steady_state_error",
@@ -218,8 +236,9 @@ def _answers(
     dead_s = (COMMAND_DELAY_TICKS + 0.5) * log.sample_time_s
     errors = " and ".join(f"{one.rms_deg:.2g} deg ({method})" for method, one in found.measured.items())
     why = (
-        f"The same log fitted with dry friction gives K = {gain:.3g} deg/s per %, tau = {tau:.3g} s and friction "
-        f"{level:.2f} %, of which the precompensator leaves {left:.2f} %; its error is {found.left_rms_deg:.2g} deg "
+        f"The same log fitted with dry friction and a winding gives K = {gain:.3g} deg/s per %, tau = {tau:.3g} s, "
+        f"La/Ra = {1e3 * found.friction.model.number(WINDING):.1f} ms and friction {level:.2f} %, of which the "
+        f"precompensator leaves {left:.2f} %; its error is {found.left_rms_deg:.2g} deg "
         f"rms over the whole run, that of the linear loops {errors}. "
     )
     for method in METHODS if explained(found.friction) else ():
@@ -268,8 +287,8 @@ def _difference(found: Found) -> str:
     meet = f"The 95 % intervals of {', '.join(apart)} do not meet" if apart else "The 95 % intervals meet"
     return (
         f"K is {_change(step.value(GAIN), pem.value(GAIN))} by the steps than by the fit, tau "
-        f"{_change(step.value(TAU), pem.value(TAU))}. {meet}: they say how well the same run repeats, and hold "
-        "nothing of what the form lacks."
+        f"{_change(step.value(TAU), pem.value(TAU))}. {meet}: they say how well the run repeats and what counts "
+        "leave open, and hold nothing of what the form lacks."
     )
 
 

@@ -36,6 +36,21 @@ SETTLED = 0.5  # the last share of a step, over which its speed is taken
 MOVING_DEG_S = 1.5  # slower is at rest: a count in half a second
 SHOWN_UP_TO_PCT = 30.0  # above it the angle's picture is all stripes
 RUN_UP_S, WATCH_S = 1.5, 3.0
+# Table 2.1 of the lab text, and Fig. 2.9 for motor B as this lab connects it
+WIRING = Table(
+    "Wiring: driver board to FiO Lite (table 2.1; this lab, Fig. 2.9)",
+    ("signal", "driver port", "pin", "this lab"),
+    (
+        ("direction 1, motor A", "Da1", "C1", None),
+        ("direction 2, motor A", "Da2", "C2", None),
+        ("PWM, motor A", "Pa", "C6", None),
+        ("direction 1, motor B", "Db1", "C3", "C3"),
+        ("direction 2, motor B", "Db2", "C4", "C4"),
+        ("PWM, motor B", "Pb", "C7", "A3, the board's PWM output"),
+        ("encoder channel 1", None, None, "A8"),
+        ("encoder channel 2", None, None, "A9"),
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -117,7 +132,7 @@ def manual_control(bench: Bench, folder: Path) -> LabResult:
         name="manual",
         title="Manual control: duty, direction bits, angle and speed",
         target=bench.transport.name,
-        tables=(_speeds(forward, reverse), _modes(forward, reverse, rest_duty, braked, coasted)),
+        tables=(WIRING, _speeds(forward, reverse), _modes(forward, reverse, rest_duty, braked, coasted)),
         answers=(
             _on_modes(forward, reverse, rest_duty, braked, coasted),
             _on_angle(stairs, bench.counts_per_rev),

@@ -14,6 +14,7 @@ from fiohost.bench.experiment import Experiment
 from fiohost.bench.loop import Bench, Tick
 from fiohost.bench.signals import Pulses
 from fiohost.errors import DataError
+from fiohost.labs.inductance import rough_H
 from fiohost.labs.open_loop_step import fit_step
 from fiohost.labs.play import OpenLaw, play_target, smooth_speed
 from fiohost.labs.readings import GRAVITY_M_S2, METER_A, METER_V, SPOOL_RADIUS_M, NoLoad, Readings
@@ -24,6 +25,7 @@ MASSES_KG = (0.0, 0.067, 0.119, 0.173, 0.234, 0.293, 0.353, 0.413, 0.471, 0.532,
 LIFT_POWER = 50.0
 SPEED_POWERS = (20.0, 40.0, 60.0, 80.0, 100.0)
 HAND_NM_PER_RAD = 0.1  # soft enough for the motor's own damping, stiff enough to be at rest within seconds
+RISE_POWERS, RISE_RUN_S, RISE_TICKS = (100.0, -100.0, 60.0, -60.0), 0.2, 3
 STALL_S, LIFT_S, STEP_S, ON_S, OFF_S = 2.0, 1.2, 1.5, 1.0, 4.0
 READ_S = 0.3
 TURNS_RAD_S = 0.2
@@ -50,29 +52,36 @@ class _Meter:
 def measure(
     bench: Bench,
     port: str,
-    L_H: float,
+    L_H: float | None,
     supply_V: float,
     *,
     stall_powers: Sequence[float] = STALL_POWERS,
     masses_kg: Sequence[float] = MASSES_KG,
     speed_powers: Sequence[float] = SPEED_POWERS,
 ) -> Readings:
-    """All tables of the characterisation; with the inductance the winding's lag is taken off the time constants.
+    """All tables of the characterisation. The winding's lag is taken off the time constants; without ``L_H`` its
+    inductance is that of the current's rise.
 
     Raises ConfigError where the bench has no instruments, DataError where the motor does not turn.
     """
     lab = Instruments.of(bench)
     found = Readings(port=port, supply_V=supply_V, source=f"virtual meters at {bench.transport.name}")
     found.stall = [_stalled(bench, lab, power) for power in stall_powers]
-    winding_s = L_H * float(np.mean([i / v for v, i in found.stall]))
+    found.rise = [row for power in RISE_POWERS for row in _risen(bench, power, supply_V)]
+    R_ohm = float(np.mean([v / i for v, i in found.stall]))
+    winding_s = (rough_H(found.rise, R_ohm) if L_H is None else L_H) / R_ohm
     for mass in masses_kg:
-        torque, current, turns = _lifted(bench, lab, mass)
+        torque, current, speed = _lifted(bench, lab, mass)
+        turns = speed > TURNS_RAD_S
         (found.lift if turns else found.lift_stalled).append((torque, current))
+        if turns:
+            found.lift_speed.append((torque, current, speed))
     for power in speed_powers:
         reading, tau_s = _freely(bench, lab, power, supply_V, winding_s)
         found.no_load.append(reading)
         found.time_constants_s.append(tau_s)
-    found.run_down.append(_run_down(bench))
+    timed, found.run_down_curve = _run_down(bench)
+    found.run_down.append(timed)
     return found
 
 
@@ -92,8 +101,8 @@ def _stalled(bench: Bench, lab: Instruments, power: float) -> tuple[float, float
     return meter.read()
 
 
-def _lifted(bench: Bench, lab: Instruments, mass_kg: float) -> tuple[float, float, bool]:
-    """Torque of a mass on the spool, the current that lifts it, and whether it went up."""
+def _lifted(bench: Bench, lab: Instruments, mass_kg: float) -> tuple[float, float, float]:
+    """Torque of a mass on the spool, the current that lifts it, and the speed at which it goes up."""
 
     def hang(tick: Tick) -> None:
         if tick.time_s >= 0.05:  # a motor that does not pull yet would be dragged along
@@ -106,7 +115,7 @@ def _lifted(bench: Bench, lab: Instruments, mass_kg: float) -> tuple[float, floa
         lab.hang_mass(0.0, SPOOL_RADIUS_M)
     last = log.time_s > log.time_s[-1] - READ_S
     speed = float(np.polyfit(log.time_s[last], np.radians(log.output[last]), 1)[0])
-    return mass_kg * GRAVITY_M_S2 * SPOOL_RADIUS_M, meter.read()[1], speed > TURNS_RAD_S
+    return mass_kg * GRAVITY_M_S2 * SPOOL_RADIUS_M, meter.read()[1], speed
 
 
 def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, winding_s: float) -> tuple[NoLoad, float]:
@@ -121,8 +130,8 @@ def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, windi
     return meter, fit.tau_s
 
 
-def _run_down(bench: Bench) -> tuple[float, float]:
-    """Time to 37 % of the speed once the input is off (standby, the winding open), and the speed before."""
+def _run_down(bench: Bench) -> tuple[tuple[float, float], tuple[list[float], list[float]]]:
+    """Time to 37 % of the speed once the input is off (standby, the winding open), the speed before, and the curve."""
     signal = Pulses(duration_s=ON_S + OFF_S, levels=(100.0,), on_s=ON_S, off_s=OFF_S, rest="standby")
     log = bench.run(Experiment("run_down", command=(signal,)))
     speed = smooth_speed(log.time_s, log.output - log.output[0])
@@ -131,4 +140,19 @@ def _run_down(bench: Bench) -> tuple[float, float]:
     slow = np.flatnonzero(speed[off] <= np.exp(-1.0) * before)
     if not slow.size:
         raise DataError(f"the shaft runs down slower than {OFF_S:g} s to 37 % of its speed")
-    return float(log.time_s[off][slow[0]] - ON_S - bench.sample_time_s), before
+    since = log.time_s - ON_S - bench.sample_time_s
+    shown = since >= -READ_S
+    curve = (since[shown].tolist(), speed[shown].tolist())
+    return (float(since[off][slow[0]]), before), curve
+
+
+def _risen(bench: Bench, power: float, supply_V: float) -> list[tuple[float, float, float]]:
+    """Voltage, time and current at the first ticks after a step of voltage from rest."""
+    volt = power / 100.0 * supply_V
+    run = play_target(bench, OpenLaw(np.full(60, volt), 100.0 / supply_V), RISE_RUN_S, supply_V)
+    assert run.current_A is not None
+    began = int(np.flatnonzero(np.abs(run.volts) > 0.0)[0])
+    return [
+        (volt, k * bench.sample_time_s, round(float(run.current_A[began + k]) / METER_A) * METER_A)
+        for k in range(1, RISE_TICKS + 1)
+    ]

@@ -24,6 +24,10 @@ SMALL_V, LARGE_V = 2.0, 10.0
 FREQUENCIES = (0.5, 1.0, 2.0, 5.0, 10.0)  # rad/s, step 9
 SWEEP = (*FREQUENCIES, 20.0, 40.0)
 LEAST_SHARE = 0.02  # of the strongest input: below it there is no sine to speak of
+MOST_REST = 0.5  # of the sine's amplitude, rms of the command beside it: more is another command
+HARMONICS = 15  # fitted beside the first: of a cut sine they fall with the square of their number
+NEAR_TOP = 1e-4  # of the largest command: so near stands what a limit cuts
+SHARE_OF_A_SINE = 0.05  # of the samples that near the top: a whole sine has a hundredth there
 
 
 @dataclass(frozen=True)
@@ -35,46 +39,90 @@ class Response:
     phase_deg: float
     input_V: float
     output_rad_s: float
-    distortion_pct: float  # rms of the speed beside its sine, in percent of the sine's rms
+    distortion_pct: float  # rms of the angle beside its sine, in percent of the sine's rms
+    cut_pct: float = 0.0  # of the time in which the command stood at its limit
 
     @property
     def gain_db(self) -> float:
         return 20.0 * math.log10(self.gain)
 
 
-def fit_sine(time_s: np.ndarray, y: np.ndarray, omega: float, drifts: bool = False) -> tuple[complex, np.ndarray]:
-    """Least squares of a sine, a constant and, where it drifts, a slope: the phasor of ``sin`` and the residual (n)."""
-    columns = [np.sin(omega * time_s), np.cos(omega * time_s), np.ones_like(time_s)]
-    columns += [time_s - time_s.mean()] if drifts else []
+def first_harmonic(time_s: np.ndarray, y: np.ndarray, omega: float) -> tuple[complex, np.ndarray]:
+    """The phasor of ``sin`` at ``omega`` in what is periodic, and what of it is beside that sine and its mean (n).
+
+    Harmonics are fitted beside it: with them left out, a window that is no whole number of samples would mix them in.
+    """
+    step = float(np.median(np.diff(time_s)))
+    highest = max(min(HARMONICS, int(0.5 * np.pi / (omega * step)), len(time_s) // 8), 1)
+    columns = [np.ones_like(time_s)]
+    for n in range(1, highest + 1):
+        columns += [np.sin(n * omega * time_s), np.cos(n * omega * time_s)]
     basis = np.column_stack(columns)
     found = np.linalg.lstsq(basis, y, rcond=None)[0]
-    return complex(found[0], found[1]), y - basis @ found
+    return complex(found[1], found[2]), y - basis[:, :3] @ found[:3]
+
+
+def drift_per_s(time_s: np.ndarray, y: np.ndarray, period_s: float) -> float:
+    """How fast a periodic movement drifts, from what a whole period changes: no harmonic counts for drift.
+
+    A slope beside the sine over one period would take from all of them, as its own harmonics fall as slowly as 1/n.
+    """
+    later = time_s >= time_s[0] + period_s - 1e-9
+    if not later.any():
+        later = time_s >= time_s[-1]
+    before = np.interp(time_s[later] - period_s, time_s, y)
+    return float(np.mean(y[later] - before)) / period_s
+
+
+def asked_sine(time_s: np.ndarray, volts_in: np.ndarray, omega: float) -> tuple[complex, float]:
+    """The phasor of the sine that was asked for, also where a limit cut it, and the share of samples that were cut.
+
+    What stands at the limit says nothing of the sine: the phasor is that of the samples below it. Raises DataError
+    where there is no sine of that frequency.
+    """
+    top = float(np.max(np.abs(volts_in), initial=0.0))
+    cut = np.abs(volts_in) >= (1.0 - NEAR_TOP) * top
+    if float(np.mean(cut)) <= SHARE_OF_A_SINE:
+        cut[:] = False
+    basis = np.column_stack([np.sin(omega * time_s), np.cos(omega * time_s), np.ones_like(time_s)])
+    keep = ~cut
+    if keep.sum() < 2 * basis.shape[1]:
+        raise DataError("the command stands at its limit all the time: nothing is left of a sine")
+    found, _, rank, _ = np.linalg.lstsq(basis[keep], volts_in[keep], rcond=None)
+    sent = complex(found[0], found[1])
+    rest = volts_in[keep] - basis[keep] @ found
+    rms = float(np.sqrt(np.mean(rest**2)))
+    if rank < basis.shape[1] or abs(sent) <= LEAST_SHARE * top or rms > MOST_REST * abs(sent) or top == 0.0:
+        raise DataError(f"the command holds no sine of {omega:g} rad/s: give the frequency that was commanded")
+    return sent, float(np.mean(cut))
 
 
 def gain_and_phase(
     time_s: np.ndarray, volts_in: np.ndarray, angle_deg: np.ndarray, omega: float, acts_after_s: float
 ) -> Response:
-    """Gain and phase from voltage to speed over the last whole periods of a run.
+    """Gain and phase from the voltage asked for to the speed, over the last whole periods of a run.
 
     ``acts_after_s`` passes from a row until its voltage acts; a held voltage acts as the sine half a sample later,
-    which is taken off too. The speed is the derivative of the angle's own sine, so no count is ever differentiated.
-    Raises DataError for less than a period, or where there is no sine of that frequency.
+    which is taken off too. The speed is the derivative of the angle's own first harmonic, so no count is ever
+    differentiated. Raises DataError for less than a period, or where there is no sine of that frequency.
     """
     step = float(np.median(np.diff(time_s)))
-    periods = math.floor((time_s[-1] - time_s[0] - SETTLE_S) * omega / (2.0 * math.pi) + 1e-6)
+    period = 2.0 * math.pi / omega
+    settled = time_s >= time_s[0] + SETTLE_S - 1e-9
+    periods = math.floor((time_s[-1] - time_s[0] - SETTLE_S) / period + 1e-6)
     if periods < 1:
         raise DataError(f"the run is too short for a whole period at {omega:g} rad/s after {SETTLE_S:g} s of settling")
-    keep = time_s > time_s[-1] - periods * 2.0 * math.pi / omega - 0.5 * step
-    sent, _ = fit_sine(time_s[keep] + acts_after_s + 0.5 * step, volts_in[keep], omega)
-    if abs(sent) <= LEAST_SHARE * float(np.max(np.abs(volts_in), initial=0.0)) or abs(sent) == 0.0:
-        raise DataError(f"the command holds no sine of {omega:g} rad/s: give the frequency that was commanded")
-    turned, rest = fit_sine(time_s[keep], np.radians(angle_deg[keep]), omega, drifts=True)
+    keep = time_s > time_s[-1] - periods * period - 0.5 * step
+    sent, cut = asked_sine(time_s[keep] + acts_after_s + 0.5 * step, volts_in[keep], omega)
+    angle = np.radians(angle_deg)
+    drift = drift_per_s(time_s[settled], angle[settled], period)
+    turned, rest = first_harmonic(time_s[keep], (angle - drift * time_s)[keep], omega)
     speed = turned * complex(0.0, omega)
     ratio = speed / sent
     rms = abs(turned) / math.sqrt(2.0)
     return Response(
         omega, abs(ratio), math.degrees(math.atan2(ratio.imag, ratio.real)), abs(sent), abs(speed),
-        100.0 * float(np.sqrt(np.mean(rest**2))) / rms if rms else 0.0,
+        100.0 * float(np.sqrt(np.mean(rest**2))) / rms if rms else 0.0, 100.0 * cut,
     )  # fmt: skip
 
 
@@ -102,8 +150,12 @@ def calculator(log: Log, omega: float, q: MotorConstants, full_V: float) -> LabR
         title=f"Gain and phase at {omega:g} rad/s of {log.path}",
         target=log.metadata.get("target", "a log"),
         tables=(Table("Gain and phase calculator", _COLUMNS, [row]),),
+        notes=(
+            f"the command stood at its limit {found.cut_pct:.0f} % of the time: gain and phase are against the sine of "
+            f"{found.input_V:.3g} V that was asked for, found from the rest",
+        ) if found.cut_pct else (),
         values={"omega_rad_s": omega, "gain_rad_s_V": found.gain, "gain_db": found.gain_db,
-                "phase_deg": found.phase_deg, "distortion_pct": found.distortion_pct},
+                "phase_deg": found.phase_deg, "distortion_pct": found.distortion_pct, "cut_pct": found.cut_pct},
     )  # fmt: skip
 
 
@@ -128,7 +180,7 @@ def _sine_run(session: Session, amplitude: float, omega: float) -> tuple[Run, Ru
     target = session.on_target(case, law, duration)
     found = [
         gain_and_phase(run.time_s, run.ref, run.angle_deg, omega, delay)
-        for run, delay in ((ideal, 0.0), (target, session.bench.sample_time_s))
+        for run, delay in ((ideal, 0.0), (target, session.bench.sample_time_s))  # both are held, half a tick on average
     ]
     return ideal, target, found[0], found[1]
 
@@ -141,8 +193,7 @@ def open_loop_sine(
         raise ConfigError("frequencies are within 0.01 to 200 rad/s, one or more")
     q = session.constants
     small = [_sine_run(session, small_V, w) for w in frequencies]
-    # at 0.5 rad/s nothing new is learnt for the time that it costs
-    large_at = [w for w in frequencies if 1.0 <= w <= 10.0] or [frequencies[0]]
+    large_at = [w for w in frequencies if w <= FREQUENCIES[-1]] or [frequencies[0]]
     large = [_sine_run(session, large_V, w) for w in large_at]
     rows = [_row(who, r, q) for _, _, a, b in small for who, r in (("model", a), ("target", b))]
     rows_large = [_row(who, r, q) for _, _, a, b in large for who, r in (("model", a), ("target", b))]
@@ -168,6 +219,7 @@ def open_loop_sine(
             "model_phase_deg": [a.phase_deg for _, _, a, _ in small],
             "large_omega_rad_s": large_at,
             "large_target_gain_db": [b.gain_db for *_, b in large],
+            "large_target_phase_deg": [b.phase_deg for *_, b in large],
         },
         figures={
             "open_loop_sine_bode": lambda: _bode(session, small, large, small_V, large_V),

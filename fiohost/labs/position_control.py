@@ -11,10 +11,11 @@ import numpy as np
 
 from fiohost.control.metrics import step_figures
 from fiohost.labs.constants import MotorConstants
-from fiohost.labs.pi_design import PiDesign, design_pi, design_table, figures_of, play_design, step_21, step_25
+from fiohost.labs.pi_design import Designed, design_pi, figures_of, play_design
 from fiohost.labs.play import NO_LIMITS, Run, Torque
+from fiohost.labs.printed import position_rows
 from fiohost.labs.result import Answer, Cell, LabResult, Table
-from fiohost.labs.session import SATURATION, Gains, Session, position
+from fiohost.labs.session import SATURATION, Gains, MakeLaw, Session, position
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,10 +26,8 @@ DURATION_S = 2.0
 DISTURBED_S = 4.0  # after the torque comes
 BAND = 0.05
 INERTIAS = (1.0, 2.0, 4.0)
+RESTS, LONGEST_S = 0.002, 64.0  # a loop has settled within this share of its step; it is followed no longer
 Trio = tuple[Run, Run, Run]
-
-# Appendix D, table D-7: overshoot %, settling to 5 % s, rise s of the text's own motor, by Kp
-TABLE_D7 = {1.5: (0.0, 0.37, 0.28), 2.5: (12.5, 0.51, 0.21), 5.0: (18.0, 0.61, 0.17)}
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
     }
     if plan.animate:
         session.animate_motor("position_control", runs[plan.gains[-1]][2], to)
-    tables, answers = [_proportional(runs, to)], [_step_16(runs, to)]
+    tables, answers = [_proportional(session, runs, to)], [_step_16(runs, to)]
     pressed: list[tuple[Gains, Trio]] = []
     if plan.torque is not None:
         pressed = _press(session, plan, plan.torque)
@@ -78,20 +77,19 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
         answers += _steps_17_18(session, pressed, to, plan.torque, left)
     inertia = _inertia(session, plan)
     saturation = _saturation(session, max(plan.gains), to)
-    design = design_pi(q, plan.overshoot_pct, plan.rise_s, SATURATION["both"])
-    designed = play_design(session, design, to)
+    designed = play_design(session, design_pi(q, plan.overshoot_pct, plan.rise_s, session.limits), to)
     valid, valid_table = _eq_7_53(session, plan.gains, runs, to)
-    tables += [inertia[1], saturation, design_table(designed), valid_table]
+    tables += [inertia[1], saturation, designed.table(), valid_table]
     answers += [
         inertia[0],
         _step_20(saturation, max(plan.gains)),
-        step_21(design, plan.overshoot_pct, plan.rise_s),
+        designed.step_21(),
         valid,
     ]
     answers += [
         _step_23(runs, to),
         _step_24(runs, max(plan.gains), to),
-        step_25(designed, plan.overshoot_pct, plan.rise_s),
+        designed.step_25(),
     ]
     return LabResult(
         name="position-control",
@@ -100,10 +98,10 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
         tables=tuple(tables),
         answers=tuple(answers),
         notes=tuple(session.notes),
-        values=_values(plan, runs, pressed, design, designed, to),
+        values=_values(plan, runs, pressed, designed, to),
         figures={
             "position_control": lambda: _draw(session, plan, runs, pressed),
-            "position_control_pi": lambda: _draw_design(session, designed),
+            **({"position_control_pi": lambda: _draw_design(session, designed)} if designed.runs else {}),
         },
         files=dict(session.logs),
     )
@@ -112,16 +110,17 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
 # ---- proportional gains ------------------------------------------------------------------------------------------
 
 
-def _proportional(runs: dict[float, Trio], to: float) -> Table:
+def _proportional(session: Session, runs: dict[float, Trio], to: float) -> Table:
     rows: list[list[Cell]] = []
     for kp, trio in runs.items():
         for run in trio:
             f = figures_of(run, to)
             rows.append([kp, run.name, f.overshoot_pct, f.rise_s, f.settling_5_s, f.steady_state_error,
                          float(np.max(np.abs(run.volts)))])  # fmt: skip
-        if kp in TABLE_D7 and to == 160.0:
-            overshoot, settling, rise = TABLE_D7[kp]
-            rows.append([kp, "text D-7, measured", overshoot, rise, settling, None, None])
+        rows += [
+            [kp, text.who, text.overshoot_pct, text.rise_s, text.settling_5_s, None, None]
+            for text in position_rows(session.constants, session.limits.volts, to, kp)
+        ]
     columns = ("Kp V/rad", "who", "overshoot %", "rise s", "settling 5 % s", "error deg", "peak V")
     return Table(f"Proportional position control, {to:g} deg", columns, rows)
 
@@ -214,20 +213,42 @@ def _overshoot(run: Run, to: float, torque: Torque) -> float:
 def _inertia(session: Session, plan: PositionPlan) -> tuple[Answer, Table]:
     q, to = session.constants, plan.step_deg
     gains = Gains(plan.integral_with, plan.integrals[len(plan.integrals) // 2])
-    rows: list[list[Cell]] = []
+    found, rows = [], []
     for factor in INERTIAS:
-        run = session.ideal(position(gains, to), 4 * DURATION_S, session.limits, q.with_inertia(factor * q.J_kgm2))
+        run, rests = _until_it_rests(session, position(gains, to), q.with_inertia(factor * q.J_kgm2), to)
         f = figures_of(run, to)
-        rows.append([factor, factor * q.J_kgm2, f.overshoot_pct, f.rise_s, f.settling_5_s, f.steady_state_error])
-    a, b = rows[0], rows[-1]
-    answer = Answer(
-        f"Step 19. More inertia under PI ({gains})",
-        f"{b[0]:g} times the inertia: overshoot {b[2]:.1f} % instead of {a[2]:.1f}, rise {b[3]:.3f} s instead of "
-        f"{a[3]:.3f}, settling {b[4]:.2f} s instead of {a[4]:.2f}; the error left is {b[5]:.2f} deg instead of "
-        f"{a[5]:.2f}: inertia changes the way, not the end, as long as the loop is stable",
+        found.append((f, to - float(run.angle_deg[-1]), rests))
+        settled = (f.settling_5_s, found[-1][1]) if rests else (None, None)
+        rows.append([factor, factor * q.J_kgm2, f.overshoot_pct, f.rise_s, *settled, float(run.time_s[-1])])
+    (a, a_error, _), (b, b_error, _) = found[0], found[-1]
+    told = (
+        f"{INERTIAS[-1]:g} times the inertia: overshoot {b.overshoot_pct:.1f} % instead of {a.overshoot_pct:.1f}, rise "
+        f"{b.rise_s:.3f} s instead of {a.rise_s:.3f}"
     )
-    columns = ("times J", "J kg m2", "overshoot %", "rise s", "settling 5 % s", "error deg")
+    if all(rests for *_, rests in found):
+        told += (
+            f", settling {b.settling_5_s:.2f} s instead of {a.settling_5_s:.2f}; the error left is {abs(b_error):.2f} "
+            f"deg instead of {abs(a_error):.2f}: inertia changes the way, not the end, as long as the loop is stable"
+        )
+    else:
+        told += (
+            f". Followed for {LONGEST_S:g} s it does not settle: with a PI the inertia decides whether a loop is stable"
+        )
+    answer = Answer(f"Step 19. More inertia under PI ({gains})", told)
+    columns = ("times J", "J kg m2", "overshoot %", "rise s", "settling 5 % s", "error at end deg", "followed s")
     return answer, Table(f"Inertia under PI, ideal model, {gains}", columns, rows)
+
+
+def _until_it_rests(session: Session, law: MakeLaw, q: MotorConstants, to: float) -> tuple[Run, bool]:
+    """The ideal model, followed twice as long each time until it rests within RESTS of the step."""
+    duration = 4.0 * DURATION_S
+    while True:
+        run = session.ideal(law, duration, session.limits, q)
+        tail = run.angle_deg[run.time_s > 0.75 * duration]
+        rests = bool(np.max(np.abs(tail - to)) < RESTS * abs(to))
+        if rests or duration >= LONGEST_S:
+            return run, rests
+        duration *= 2.0
 
 
 def _saturation(session: Session, kp: float, to: float) -> Table:
@@ -292,8 +313,7 @@ def _eq_7_53(session: Session, gains: Sequence[float], runs: dict[float, Trio], 
 
 
 def _values(
-    plan: PositionPlan, runs: dict[float, Trio], pressed: list[tuple[Gains, Trio]], design: PiDesign,
-    designed: list[tuple[str, float, Run]], to: float,
+    plan: PositionPlan, runs: dict[float, Trio], pressed: list[tuple[Gains, Trio]], designed: Designed, to: float,
 ) -> dict[str, Any]:  # fmt: skip
     def named(run: Run, size: float) -> dict[str, float]:
         f = figures_of(run, size)
@@ -310,12 +330,7 @@ def _values(
              **{f"{r.name}_error_at_end_deg": _pushed(r, to, plan.torque)[2] for r in trio}}
             for g, trio in pressed if plan.torque is not None
         ],
-        "pi": {
-            "kp_V_per_rad": design.gains.kp, "ki_V_per_rad_s": design.gains.ki,
-            "overshoot_pct": design.overshoot_pct, "rise_s": design.rise_s,
-            "largest_unsaturated_step_deg": design.largest_deg, "bound_by": design.bound_by,
-            "target_at_largest": named(designed[3][2], designed[3][1]),
-        },
+        "pi": designed.values(named),
     }  # fmt: skip
 
 
@@ -341,17 +356,17 @@ def _draw(session: Session, plan: PositionPlan, runs: dict[float, Trio], pressed
     return plot_panels(panels, f"Position control, {session.target} and model")
 
 
-def _draw_design(session: Session, designed: list[tuple[str, float, Run]]) -> Figure:
+def _draw_design(session: Session, designed: Designed) -> Figure:
     from fiohost.report.panels import Curve, Panel, plot_panels
 
-    sizes = sorted({size for _, size, _ in designed})
+    sizes = sorted({size for _, size, _ in designed.runs})
     panels = []
     for size in sizes:
         curves = [Curve([0.0, 1.5], [size, size], "reference", -1, "reference")]
         curves += [
             Curve(r.time_s, r.angle_deg, f"{r.name}, no limits" if case == "no limits" else r.name,
                   1 if case == "no limits" else 0, r.name)
-            for case, s, r in designed if s == size
+            for case, s, r in designed.runs if s == size
         ]  # fmt: skip
         panels.append(Panel(curves, "angle (deg)", title=f"PI design, step of {size:.1f} deg", x_limits=(0.0, 1.5)))
     return plot_panels(panels, f"PI design, {session.target} and model")

@@ -1,8 +1,9 @@
 """Readings of meters at a motor: the tables of the text's characterisation, from a TOML or CSV file or from a bench.
 
-Five kinds of rows: ``stall`` (voltage, current), ``lift`` (torque or mass on the spool, current), ``no_load``
-(voltage, speed, current), ``time_constant`` (time to 63.2 % of the speed) and ``run_down`` (time to 37 % of it with the
-input off).
+Seven kinds of rows: ``stall`` (voltage, current), ``lift`` (torque or mass on the spool, current, speed), ``no_load``
+(voltage, speed, current), ``time_constant`` (time to 63.2 % of the speed), ``run_down`` (time to 37 % of it with the
+input off), ``inductance`` (of a meter, or the time constant of the stalled winding with a known resistor in series) and
+``rise`` (current so long after a step of voltage from rest).
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ LARGEST = 1e6
 # kind -> the keys that its rows may have beside port, power_pct and note
 KINDS = {
     "stall": ("voltage_V", "wire_voltage_V", "current_A"),
-    "lift": ("mass_kg", "torque_Nm", "spool_radius_m", "current_A", "stalled"),
+    "lift": ("mass_kg", "torque_Nm", "spool_radius_m", "current_A", "speed_rad_s", "stalled"),
     "no_load": ("voltage_V", "wire_voltage_V", "speed_rad_s", "current_A"),
     "time_constant": ("time_s",),
     "run_down": ("time_s", "from_rad_s"),
+    "inductance": ("inductance_H", "series_ohm", "time_s"),
+    "rise": ("voltage_V", "time_s", "current_A"),
 }
 COMMON = ("port", "power_pct", "note")
 Row = Mapping[str, object]
@@ -56,10 +59,15 @@ class Readings:
     meter_V: float = METER_V
     stall: list[tuple[float, float]] = field(default_factory=list)  # V, A
     lift: list[tuple[float, float]] = field(default_factory=list)  # N m, A; turning
+    lift_speed: list[tuple[float, float, float]] = field(default_factory=list)  # N m, A, rad/s: lifts with a speed
     lift_stalled: list[tuple[float, float]] = field(default_factory=list)
     no_load: list[NoLoad] = field(default_factory=list)
     time_constants_s: list[float] = field(default_factory=list)
     run_down: list[tuple[float, float | None]] = field(default_factory=list)  # s to 37 %, from rad/s
+    inductance_H: list[float] = field(default_factory=list)  # by a meter
+    decay: list[tuple[float, float]] = field(default_factory=list)  # ohm in series, s: La / (R + Ra)
+    rise: list[tuple[float, float, float]] = field(default_factory=list)  # V, s after the step, A
+    run_down_curve: tuple[Sequence[float], Sequence[float]] = ((), ())  # s, rad/s; of a bench's log, not of a file
 
     @classmethod
     def load(cls, path: Path, port: str = "A") -> Readings:
@@ -117,11 +125,22 @@ class Readings:
             self.stall.append((_voltage(cells), cells.need("current_A")))
         elif kind == "lift":
             place = self.lift_stalled if _flag(row.get("stalled", False), where) else self.lift
-            place.append((_torque(cells, spool_radius_m), cells.need("current_A")))
+            lifted = (_torque(cells, spool_radius_m), cells.need("current_A"))
+            place.append(lifted)
+            speed = cells.number("speed_rad_s")
+            if speed is not None and place is self.lift:
+                self.lift_speed.append((*lifted, speed))
         elif kind == "no_load":
             self.no_load.append(NoLoad(_voltage(cells), cells.need("speed_rad_s"), cells.number("current_A")))
         elif kind == "time_constant":
             self.time_constants_s.append(cells.need("time_s", above=0.0))
+        elif kind == "rise":
+            self.rise.append((cells.need("voltage_V"), cells.need("time_s", above=0.0), cells.need("current_A")))
+        elif kind == "inductance":
+            if cells.number("inductance_H") is not None:
+                self.inductance_H.append(cells.need("inductance_H", above=0.0))
+            else:
+                self.decay.append((cells.need("series_ohm", above=-1e-12), cells.need("time_s", above=0.0)))
         else:
             self.run_down.append((cells.need("time_s", above=0.0), cells.number("from_rad_s")))
 
@@ -133,16 +152,17 @@ class Readings:
 
         def rows(kind: str, keys: Sequence[str], values: Sequence[Sequence[float | None]], more: str = "") -> None:
             for row in values:
-                told = ", ".join(f"{k} = {v:.7g}" for k, v in zip(keys, row, strict=True) if v is not None)
+                told = ", ".join(f"{k} = {v:.7g}" for k, v in zip(keys, row, strict=False) if v is not None)
                 lines.append(f'  {{ port = "{self.port}", {told}{more} }},')
 
         for kind, keys, values, stalled in (
             ("stall", ("voltage_V", "current_A"), self.stall, []),
-            ("lift", ("torque_Nm", "current_A"), self.lift, self.lift_stalled),
+            ("lift", ("torque_Nm", "current_A", "speed_rad_s"), self.lift_speed or self.lift, self.lift_stalled),
             ("no_load", ("voltage_V", "speed_rad_s", "current_A"),
              [(r.voltage_V, r.speed_rad_s, r.current_A) for r in self.no_load], []),
             ("time_constant", ("time_s",), [(t,) for t in self.time_constants_s], []),
             ("run_down", ("time_s", "from_rad_s"), self.run_down, []),
+            ("rise", ("voltage_V", "time_s", "current_A"), self.rise, []),
         ):  # fmt: skip
             lines += ["", f"{kind} = ["]
             rows(kind, keys, values)

@@ -14,6 +14,7 @@ from fiohost.bench.loop import Bench
 from fiohost.control.controllers import PID, Controller
 from fiohost.errors import ConfigError
 from fiohost.labs.constants import MotorConstants
+from fiohost.labs.ideal import play_ideal
 from fiohost.labs.play import (
     IDEAL,
     NO_LIMITS,
@@ -37,6 +38,7 @@ SATURATION = {
     "both": Limits(4.5, 1.0),
     "voltage": Limits(4.5, None),
     "current": Limits(None, 1.0),
+    "half": Limits(2.25, 1.0),  # half of the full voltage, for the arm (section D-1-6)
     "none": NO_LIMITS,
 }
 DERIVATIVE_FILTER_S = 0.01  # a count in one tick of 5 ms is 100 deg/s
@@ -81,6 +83,9 @@ def volts(level: float | Callable[[np.ndarray], np.ndarray], duration_s: float) 
 
     def law(way: Way, scale: float) -> Law:
         times = np.arange(round(duration_s / way.sample_time_s) + 1) * way.sample_time_s
+        times = times + (
+            0.5 * way.sample_time_s if way is IDEAL else 0.0
+        )  # what holds for a tick is that of its middle
         return OpenLaw(level(times) if callable(level) else np.full(times.size, level), scale)
 
     return law
@@ -88,8 +93,9 @@ def volts(level: float | Callable[[np.ndarray], np.ndarray], duration_s: float) 
 
 @dataclass
 class Session:
-    """One sitting at the bench. ``limits`` are those of model and target; no target gives more than full duty, and
-    only a simulated one has a supply whose current can be limited.
+    """One sitting at the bench. ``limits`` are what was asked for, and what the ideal model has. Model and target share
+    those that the bench can have, ``bench_limits``: no target gives more than full duty, and only a simulated one has a
+    supply whose current can be limited.
     """
 
     constants: MotorConstants
@@ -117,7 +123,10 @@ class Session:
                     "the loops are the same in volts"
                 )
             if session.limits.amperes is not None and furniture(bench) is None:
-                session.note("nothing limits the target's current: the limit of 1 A is the model's only")
+                session.note(
+                    "nothing limits the target's current: model and target are without the limit of 1 A, the ideal "
+                    "model has it"
+                )
             yield session
 
     @property
@@ -133,6 +142,12 @@ class Session:
         return target_volts(self.bench, self.constants)
 
     @property
+    def bench_limits(self) -> Limits:
+        """The limits of model and target alike."""
+        volts = self.full_V if self.limits.volts is None else min(self.limits.volts, self.full_V)
+        return Limits(volts, None if furniture(self.bench) is None else self.limits.amperes)
+
+    @property
     def presses(self) -> bool:
         """Whether somebody can press on the target's shaft."""
         return furniture(self.bench) is not None
@@ -145,14 +160,15 @@ class Session:
         self, law: MakeLaw, duration_s: float, limits: Limits, constants: MotorConstants | None = None,
         torque: Torque | None = None,
     ) -> Run:  # fmt: skip
-        """The model in nearly continuous time, with limits of its own and, where given, other constants."""
+        """The text's block diagram, with limits of its own and, where given, other constants."""
         q = constants or self.constants
-        return play_model(q, law(IDEAL, q.pct_per_volt), duration_s, IDEAL, limits=limits, torque=torque)
+        return play_ideal(q, law(IDEAL, q.pct_per_volt), duration_s, limits=limits, torque=torque)
 
     def model(self, law: MakeLaw, duration_s: float, torque: Torque | None = None) -> Run:
         """The model at the bench's own ticks, delay and counts."""
         q = self.constants
-        return play_model(q, law(self.way, q.pct_per_volt), duration_s, self.way, limits=self.limits, torque=torque)
+        law_ = law(self.way, q.pct_per_volt)
+        return play_model(q, law_, duration_s, self.way, limits=self.bench_limits, torque=torque)
 
     def on_target(
         self, case: str, law: MakeLaw, duration_s: float, torque: Torque | None = None,
@@ -166,7 +182,7 @@ class Session:
         about = {"experiment": case, **(metadata or {})}
         run = play_target(
             self.bench, law(self.way, 100.0 / self.full_V), duration_s, self.full_V, log_path=path,
-            metadata=about, limits=self.limits, torque=torque,
+            metadata=about, limits=self.bench_limits, torque=torque,
         )  # fmt: skip
         self.logs[f"log {case}"] = str(path)
         return run

@@ -5,7 +5,11 @@ only and would miss a changed effect. What lies there is unpickled, which runs c
 this user's own, closed to all others and no link, or the kernels are compiled in memory.
 
 Kernels allocate nothing, so they are compiled without numba's reference counts: the atomic increments at every call
-cost more than the physics (a factor of ten on the whole simulation).
+cost more than the physics (a factor of ten on the whole simulation). Products and sums may be fused and divisors
+inverted, as a C compiler does the one: results are the same to rounding.
+
+Parts of a kernel have no entry of their own from Python, which would be compiled as well; Python that calls one runs it
+as Python.
 """
 
 from __future__ import annotations
@@ -21,10 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numba as _numba
+from numba.extending import register_jitable
 
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
 PRIVATE = 0o700
+ROUNDING = {"contract", "arcp"}
 
 
 @cache
@@ -92,7 +98,9 @@ def compiled(function: Callable[..., Any]) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder or "")
     try:
-        return numba.njit(cache=folder is not None, nogil=True, error_model="numpy", _nrt=False)(function)
+        return numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath=ROUNDING, _nrt=False)(
+            function
+        )
     finally:
         numba.config.CACHE_DIR = before
 
@@ -103,12 +111,16 @@ def part(function: Callable[..., Any]) -> Any:
     It says so, as it would inherit ``forceinline`` from a caller: then the compiler hoists the divisions of rare
     branches out of the step's loops and does them at every step.
     """
-    return numba.njit(error_model="numpy", forceinline=False, _nrt=False)(function)
+    return register_jitable(
+        error_model="numpy", fastmath=ROUNDING, forceinline=False, _nrt=False, no_cfunc_wrapper=True
+    )(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return numba.njit(error_model="numpy", forceinline=True, _nrt=False)(function)
+    return register_jitable(
+        error_model="numpy", fastmath=ROUNDING, forceinline=True, _nrt=False, no_cfunc_wrapper=True
+    )(function)
 
 
 @inlined

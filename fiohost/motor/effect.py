@@ -45,7 +45,8 @@ In time, and at the sensor:
 ``measure(theta_deg, q)``, ``measure_speed(omega_deg_s, q)``
     the angle that the encoder shows, and the speed that a sensor of speed does.
 
-``q`` is the array of the effect's own parameters in their declared order.
+``q`` are the effect's own parameters in their declared order. Hooks of an effect without ``substep_s`` depend on
+nothing that changes within a hold, neither angle nor speed nor current, nor on time but by a ``moment``.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from __future__ import annotations
 from math import copysign, exp, expm1, inf, log, log1p
 
 from fiohost.motor.compiled import inlined, part, sign
-from fiohost.motor.hooks import PERIOD, ceiling, coasts, drop, lag, opens, resistance, voltage
-from fiohost.motor.state import DRIVE, GAIN, SMALLEST_LAG_S, STANDBY
+from fiohost.motor.hooks import PERIOD, ceiling, coasts, drop, lag, opens, resistance, resists, varies, voltage
+from fiohost.motor.state import DRIVE, GAIN, PULSE, SMALLEST_LAG_S, STANDBY
 
 SUPPLY = 100.0
 MOST_PIECES = 4
@@ -56,6 +56,31 @@ def follow(i, push, loss, ohms, tau, most, span):  # type: ignore[no-untyped-def
     return i, charge, counts
 
 
+@inlined
+def ceasing(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, period, x, kept):  # type: ignore[no-untyped-def]
+    """Mean over a period of a current that begins each pulse at zero and is back there in the pause; inf where it is
+    not. What a pulse leaves of a gap is kept at ``kept``, as most pulses are as long as the one before.
+    """
+    tau, push = lag_s / ohms, on_volts - emf
+    if abs(emf) > pause_pct:
+        return inf  # it flows back in the pause
+    if abs(push) <= drop_pct:
+        return 0.0
+    way, span = sign(push), share * period
+    falls = emf * way + pause_pct
+    if kept < 0:
+        left = exp(-span / tau)
+    else:
+        if x[kept] != span or x[kept + 1] != tau:
+            x[kept], x[kept + 1], x[kept + 2] = span, tau, exp(-span / tau)
+        left = x[kept + 2]
+    rises = abs(push) - drop_pct
+    lasts = tau * log(1.0 + rises * (1.0 - left) / falls)
+    if lasts > period - span:
+        return inf
+    return way * (rises * span - falls * lasts) / (ohms * period)
+
+
 @part
 def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, period):  # type: ignore[no-untyped-def]
     """Mean over a period of the current that repeats itself from one to the next: the fixed point of the period's map.
@@ -63,8 +88,7 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
     The map never falls, and rises by ``exp(-period/tau)`` at most, so the point is one and can be bracketed.
     """
     tau = lag_s / ohms
-    steep = exp(-period / tau)
-    low, high = -most, most
+    low, high, steep = -most, most, -1.0
     if most == inf:
         high = (abs(on_volts) + abs(emf) + pause_pct) / ohms
         low = -high
@@ -74,6 +98,10 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
         end, second, counts_too = follow(top, -emf, pause_pct, ohms, tau, most, (1.0 - share) * period)
         mean = (first + second) / period
         off = end - i
+        if off == 0.0:
+            break  # it ceases in each period
+        if steep < 0.0:
+            steep = exp(-period / tau)
         if abs(off) <= CLOSE * (1.0 - steep):
             break
         if off > 0.0:
@@ -86,7 +114,7 @@ def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, perio
     return mean
 
 
-@inlined
+@part
 def coasting(volts, emf, share, lost, ohms, most, periods):  # type: ignore[no-untyped-def]
     """Mean current of a bridge that is open between pulses, each period beginning where the last one's current ceased,
     or never does; ``periods`` is L/R of the cold winding over the period.
@@ -118,14 +146,14 @@ def coasting(volts, emf, share, lost, ohms, most, periods):  # type: ignore[no-u
 
 
 @inlined
-def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ignore[no-untyped-def]
+def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, p, on):  # type: ignore[no-untyped-def]
     """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
     voltages under which a current along and against the motion's sign flows, and the resistance.
     """
     ohms = resistance(1.0, (duty,), x, shift, p, on)
     lost = drop((), p, on)
     most = ceiling((), p, on)
-    emf = omega / gain
+    emf = omega * per_gain
     share = min(abs(duty) * 0.01, 1.0)
     on_volts, pause = 0.0, lost
     if mode == STANDBY:
@@ -156,9 +184,10 @@ def circuit(omega, time, duty, mode, gain, x, shift, lag_s, p, on):  # type: ign
         return settled, False, along, against, ohms
     if ripple == 0.0:
         return copysign(most, settled), True, along, against, ohms
-    return (
-        repeated(on_volts, share, lost, pause, emf, ohms, lag_s, most, p[PERIOD]), True, along, against, ohms,
-    )  # fmt: skip
+    mean = ceasing(on_volts, share, lost, pause, emf, ohms, lag_s, p[PERIOD], x, kept) if most == inf else inf
+    if mean == inf:
+        mean = repeated(on_volts, share, lost, pause, emf, ohms, lag_s, most, p[PERIOD])
+    return mean, True, along, against, ohms
 
 
 @inlined
@@ -171,7 +200,7 @@ def winding_lag(p, on):  # type: ignore[no-untyped-def]
 @inlined
 def settled_current(omega, time, duty, x, p, on):  # type: ignore[no-untyped-def]
     """Mean current in percent of stall of a driven motor at a speed, once a lag of its own is over."""
-    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, p[GAIN], x, 0, winding_lag(p, on), p, on)
+    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, -1, winding_lag(p, on), p, on)
     return mean
 
 
@@ -184,29 +213,82 @@ def flows(amps, along, against):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def winding(omega, amps, time, duty, mode, gain, lag, winds, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
+def winding(omega, amps, time, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
     """The current that drives, the voltage and resistance that it follows, the settled value at which it stays (inf:
     none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
     in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
     """
-    if not winds:
-        if mode == STANDBY:
-            return 0.0, 0.0, 1.0, inf, 0.0, 0
-        return duty - omega / gain, duty, 1.0, inf, 0.0, 0
-    mean, special, along, against, ohms = circuit(omega, time, duty, mode, gain, x, shift, lag, p, on)
+    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, PULSE, lag, p, on)
     if free < 0:
         free = 0
         if lag > 0.0 and not (settled and special):
             free = 1
             if special:  # it ceases or is limited in each period, and is free until it comes there
-                way = flows(amps, along - omega / gain, against - omega / gain)
-                tends = (along if way > 0.0 else against) - omega / gain - ohms * amps
+                way = flows(amps, along - omega * per_gain, against - omega * per_gain)
+                tends = (along if way > 0.0 else against) - omega * per_gain - ohms * amps
                 free = 1 if way != 0.0 and (mean - amps) * tends > ALIKE * abs(tends) else 0
     if free != 1:
-        return mean, (mean + omega / gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
+        return mean, (mean + omega * per_gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
     if way == 0.0:
-        way = flows(amps, along - omega / gain, against - omega / gain)
+        way = flows(amps, along - omega * per_gain, against - omega * per_gain)
     return amps, (along if way > 0.0 else against), ohms, (mean if special else inf), way, 1
+
+
+@inlined
+def losses(p, on):  # type: ignore[no-untyped-def]
+    """Of a winding, asked once a run: voltage lost, greatest current, whether the bridge opens between pulses, whether
+    voltage or resistance are other than those of a cold winding on a firm supply, and L/R over the period of a bridge
+    that coasts (below 0: none).
+    """
+    return drop((), p, on), ceiling((), p, on), opens(on), varies(on), resists(on), coasts((), p, on)
+
+
+@inlined
+def is_simple(lag_s, lost, modes, acts, until):  # type: ignore[no-untyped-def]
+    """Whether ``simple_winding`` is right: no current lags, or one that lags neither ceases nor is limited while modes
+    act that begin at ``acts``.
+    """
+    if lag_s == 0.0:
+        return True
+    if lost[0] > 0.0 or lost[1] < inf or lost[2] or modes[0] == STANDBY:
+        return False
+    for k in range(acts.shape[0]):
+        if acts[k] > until:
+            break
+        if modes[k + 1] == STANDBY:
+            return False
+    return True
+
+
+@inlined
+def simple_winding(omega, amps, time, duty, mode, per_gain, lag, lost, x, shift, p, on):  # type: ignore[no-untyped-def]
+    """As ``winding``, where a mean is all there is to know: the current that drives, the voltage and resistance that it
+    follows, and whether it flows free.
+    """
+    drop_pct, most, opening, varying, resisting, periods = lost
+    if mode == STANDBY:
+        return 0.0, 0.0, 1.0, 0
+    volts, ohms, emf = duty, 1.0, omega * per_gain
+    if varying:
+        volts = voltage(duty, (duty, time), x, shift, p, on)
+    if resisting:
+        ohms = resistance(1.0, (duty,), x, shift, p, on)
+    if lag > 0.0:
+        return amps, volts, ohms, 1
+    pulse = min(abs(duty) * 0.01, 1.0)
+    if periods >= 0.0 and pulse > 0.0:
+        push = coasting(volts / pulse, emf, pulse, drop_pct, ohms, most, periods)
+        return push, push + emf, ohms, 0
+    push = volts - emf
+    if opening or drop_pct > 0.0:
+        width = drop_pct
+        if opening and pulse > 0.0:
+            width += abs(volts) * (1.0 - pulse) / pulse
+        push = copysign(max(abs(push) - width, 0.0), push)
+    if resisting:
+        push /= ohms
+    push = min(max(push, -most), most)
+    return push, push + emf, ohms, 0
 
 
 @inlined

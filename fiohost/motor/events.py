@@ -27,7 +27,7 @@ ALIKE = 1e-9
 @inlined
 def strain_of(twist, closing, contact, bodies):  # type: ignore[no-untyped-def]
     """Torque of a spring whose play is closed on one side, in percent; ``closing`` is the rate of the twist."""
-    _, _, _, _, stiff, damp, half_gap = bodies
+    _, _, _, _, _, _, _, stiff, damp, half_gap = bodies
     return stiff * (twist - contact * half_gap) + damp * closing
 
 
@@ -37,7 +37,7 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
     turn, w, i, s, v = end
     omega, amps, _, _ = motion
     volts, force, beyond = forces
-    gain, _, own, other, stiff, _, half_gap = bodies
+    _, per_gain, _, _, _, per_own, per_other, stiff, _, half_gap = bodies
     joined, sprung, stuck, stuck_load, emf, lag, _, contact = regime
     until, way, lossy = current
     kind, load_at, direction, hold, harder, rest, bristled, ending = place
@@ -54,9 +54,10 @@ def judge(end, motion, forces, bodies, regime, current, place, p, on):  # type: 
             found, event = gap, TOUCH
     elif kind == PLAY and not stuck:
         # What is taken at the step's middle may have them apart at its beginning: then the next step begins with that.
-        began = amps if lag > 0.0 else volts - (omega / gain if emf else 0.0)
-        apart, tiny = contact * ((i + force) / own - beyond / other), ALIKE * (abs(force) / own + abs(beyond) / other)
-        if apart < min(found, -tiny) and contact * ((began + force) / own - beyond / other) > -tiny:
+        began = amps if lag > 0.0 else volts - (omega * per_gain if emf else 0.0)
+        rate = beyond * per_other
+        apart, tiny = contact * ((i + force) * per_own - rate), ALIKE * (abs(force) * per_own + abs(rate))
+        if apart < min(found, -tiny) and contact * ((began + force) * per_own - rate) > -tiny:
             found, event = apart, PARTING
     elif kind == SPRING and half_gap > 0.0:
         if sprung:
@@ -98,7 +99,7 @@ def locate(end, found, event, h, motion, forces, bodies, regime, current, place,
             break
         if look == 0 and event == REST and simple:
             # In closed form, if nothing else comes before it.
-            body = bodies[1] if regime[0] else bodies[2]
+            body = bodies[2] if regime[0] else bodies[3]
             force = forces[1] + forces[2] if regime[0] else forces[1]
             h = time_to_rest(motion[0], forces[0], force, bodies[0], bodies[0] * body, regime[4], high)
         elif before == inf or look % 3 == 2:

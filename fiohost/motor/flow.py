@@ -15,12 +15,16 @@ from __future__ import annotations
 from math import cos, exp, expm1, log1p, sin, sqrt
 
 from fiohost.motor.compiled import inlined, part
-from fiohost.motor.state import ONE_BODY, SCRATCH
+from fiohost.motor.state import ONE_BODY, SCRATCH, TWO_BODIES
 
 SAME_TIME_S = 1e-12
 N = 4
 SHORT = 0.5  # of the norm of A t, for which the series is summed
 TERMS = 14
+# In the scratch: the matrix A, a term of the series, what is done with it, and the three sums. Their places are known
+# when it is compiled, so nothing is asked about an index.
+SQUARE = N * N
+MATRIX, TERM, SPARE, FLOW, ONCE, TWICE = (SCRATCH + SQUARE * i for i in range(6))
 
 
 @part
@@ -40,7 +44,7 @@ def _swing(dt, tau, lag, ohms):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def one_body(omega, amps, volts, force, gain, tau, lag, ohms, emf, dt, x, at):  # type: ignore[no-untyped-def]
+def one_body(omega, amps, volts, force, gain, per_gain, tau, lag, ohms, emf, dt, x, at):  # type: ignore[no-untyped-def]
     """Angle turned, speed and current after dt of a body of time constant ``tau``; without ``emf`` no current answers
     the speed, and without ``lag`` the current is what ``volts`` and speed leave.
     """
@@ -52,16 +56,17 @@ def one_body(omega, amps, volts, force, gain, tau, lag, ohms, emf, dt, x, at):  
             x[at], x[at + 1], x[at + 2], x[at + 3] = dt, tau, 0.0, expm1(-dt / tau)
         steady = gain * (volts + force)
         change = (omega - steady) * x[at + 3]
-        return steady * dt - tau * change, omega + change, volts - (omega + change) / gain
-    if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or lag / ohms != x[at + 2]:
-        x[at], x[at + 1], x[at + 2] = dt, tau, lag / ohms
-        x[at + 3], x[at + 4] = _swing(dt, tau, lag, ohms)
-    c, s = x[at + 3], x[at + 4]
+        after = omega + change
+        return steady * dt - tau * change, after, volts - after * per_gain
+    if abs(dt - x[at]) > SAME_TIME_S or tau != x[at + 1] or lag != x[at + 2] or ohms != x[at + 3]:
+        x[at], x[at + 1], x[at + 2], x[at + 3] = dt, tau, lag, ohms
+        c, s = _swing(dt, tau, lag, ohms)
+        half = 0.5 * ohms / lag * s
+        x[at + 4], x[at + 5], x[at + 6], x[at + 7] = c + half, s / tau, -s / lag, c - half
     steady = gain * (volts + ohms * force)
-    w, v = (omega - steady) / gain, amps + force
-    half = 0.5 * ohms / lag
-    w1 = (c + half * s) * w + s / tau * v
-    v1 = (c - half * s) * v - s / lag * w
+    w, v = (omega - steady) * per_gain, amps + force
+    w1 = x[at + 4] * w + x[at + 5] * v
+    v1 = x[at + 6] * w + x[at + 7] * v
     return steady * dt - gain * (lag * (v1 - v) + ohms * tau * (w1 - w)), steady + gain * w1, v1 - force
 
 
@@ -78,54 +83,83 @@ def _times(x, a, b, to):  # type: ignore[no-untyped-def]
     """The product of two matrices."""
     for i in range(N):
         for j in range(N):
-            total = 0.0
-            for k in range(N):
-                total += x[a + N * i + k] * x[b + N * k + j]
-            x[to + N * i + j] = total
+            x[to + N * i + j] = (
+                x[a + N * i] * x[b + j] + x[a + N * i + 1] * x[b + N + j]
+                + x[a + N * i + 2] * x[b + 2 * N + j] + x[a + N * i + 3] * x[b + 3 * N + j]
+            )  # fmt: skip
 
 
 @part
-def _propagate(x, matrix, at, dt):  # type: ignore[no-untyped-def]
-    """``exp(A dt)``, its integral and the integral of that, from ``at`` on, for A at ``matrix``."""
-    size, total = 0.0, 0.0
+def _propagate(x, at, dt):  # type: ignore[no-untyped-def]
+    """``exp(A dt)``, its integral and the integral of that, from ``at`` on, for the matrix A in the scratch."""
+    size = 0.0
     for i in range(N):
         row = 0.0
         for j in range(N):
-            row += abs(x[matrix + N * i + j])
+            row += abs(x[MATRIX + N * i + j])
         size = max(size, row)
     doublings, h = 0, dt
     while size * h > SHORT:
         h *= 0.5
         doublings += 1
-    square = N * N
-    term, spare = matrix + square, matrix + 2 * square
-    for i in range(square):
+    for i in range(SQUARE):
         unit = 1.0 if i % (N + 1) == 0 else 0.0
-        x[term + i] = unit
-        x[at + i], x[at + square + i], x[at + 2 * square + i] = unit, unit * h, unit * 0.5 * h * h
+        x[TERM + i] = unit
+        x[FLOW + i], x[ONCE + i], x[TWICE + i] = unit, unit * h, unit * 0.5 * h * h
     for k in range(1, TERMS):
-        _times(x, matrix, term, spare)
-        for i in range(square):
-            total = x[spare + i] * h / k
-            x[term + i] = total
-            x[at + i] += total
-            x[at + square + i] += total * h / (k + 1)
-            x[at + 2 * square + i] += total * h * h / ((k + 1) * (k + 2))
+        _times(x, MATRIX, TERM, SPARE)
+        by, once, twice = h / k, h / (k + 1), h * h / ((k + 1) * (k + 2))
+        for i in range(SQUARE):
+            total = x[SPARE + i] * by
+            x[TERM + i] = total
+            x[FLOW + i] += total
+            x[ONCE + i] += total * once
+            x[TWICE + i] += total * twice
     for _ in range(doublings):
-        _times(x, at, at + 2 * square, term)
-        _times(x, at, at + square, spare)
-        for i in range(square):
-            x[at + 2 * square + i] += x[term + i] + h * x[at + square + i]
-            x[at + square + i] += x[spare + i]
-        _times(x, at, at, term)
-        for i in range(square):
-            x[at + i] = x[term + i]
+        _times(x, FLOW, TWICE, TERM)
+        _times(x, FLOW, ONCE, SPARE)
+        for i in range(SQUARE):
+            x[TWICE + i] += x[TERM + i] + h * x[ONCE + i]
+            x[ONCE + i] += x[SPARE + i]
+        _times(x, FLOW, FLOW, TERM)
+        for i in range(SQUARE):
+            x[FLOW + i] = x[TERM + i]
         h *= 2.0
+    for i in range(3 * SQUARE):
+        x[at + i] = x[FLOW + i]
+
+
+@inlined
+def _row(m, at, omega, amps, twist, load_omega):  # type: ignore[no-untyped-def]
+    return m[at] * omega + m[at + 1] * amps + m[at + 2] * twist + m[at + 3] * load_omega
+
+
+@inlined
+def _pushed(m, at, b0, b1, b3):  # type: ignore[no-untyped-def]
+    return m[at] * b0 + m[at + 1] * b1 + m[at + 3] * b3
 
 
 @part
 def two_bodies(  # type: ignore[no-untyped-def]
-    omega, amps, twist, load_omega, volts, force, load, stiff, damp, gain, own, other, lag, ohms, kind, dt, x, at
+    omega,
+    amps,
+    twist,
+    load_omega,
+    volts,
+    force,
+    load,
+    stiff,
+    damp,
+    gain,
+    per_gain,
+    own,
+    other,
+    lag,
+    ohms,
+    kind,
+    dt,
+    x,
+    at,
 ):
     """Angle turned by the motor, speed, current, twist and load speed after dt of two bodies on a spring.
 
@@ -133,49 +167,44 @@ def two_bodies(  # type: ignore[no-untyped-def]
     answers the speed.
     """
     at += ONE_BODY
+    m = x[at : at + TWO_BODIES]  # the sums, then what they were computed for
     held, load_held, emf = kind & 1, kind & 2, kind & 4
-    keys = at + 3 * N * N
+    lagged = emf and lag > 0.0
+    dt_at = 3 * SQUARE
     if (
-        abs(dt - x[keys]) > SAME_TIME_S
-        or x[keys + 1] != kind + 1.0
-        or x[keys + 2] != own
-        or x[keys + 3] != lag
-        or x[keys + 4] != ohms
+        abs(dt - m[dt_at]) > SAME_TIME_S
+        or m[dt_at + 1] != kind + 1.0
+        or m[dt_at + 2] != own
+        or m[dt_at + 3] != lag
+        or m[dt_at + 4] != ohms
     ):
-        x[keys], x[keys + 1], x[keys + 2], x[keys + 3], x[keys + 4] = dt, kind + 1.0, own, lag, ohms
-        a = SCRATCH
-        for i in range(N * N):
+        m[dt_at], m[dt_at + 1], m[dt_at + 2], m[dt_at + 3], m[dt_at + 4] = dt, kind + 1.0, own, lag, ohms
+        a = MATRIX
+        for i in range(SQUARE):
             x[a + i] = 0.0
         if not held:
             x[a], x[a + 2], x[a + 3] = -damp / own, -stiff / own, damp / own
-            if emf and lag > 0.0:
+            if lagged:
                 x[a + 1] = 1.0 / own
             elif emf:
                 x[a] -= 1.0 / (gain * own)
-        if emf and lag > 0.0:
+        if lagged:
             x[a + 4], x[a + 5] = -1.0 / (gain * lag), -ohms / lag
         x[a + 8], x[a + 11] = 1.0, -1.0
         if not load_held:
             x[a + 12], x[a + 14], x[a + 15] = damp / other, stiff / other, -damp / other
-        _propagate(x, a, at, dt)
-    lagged = emf and lag > 0.0
+        _propagate(x, at, dt)
     b0 = 0.0 if held else (force if lagged else force + volts) / own
     b1 = volts / lag if lagged else 0.0
     b3 = 0.0 if load_held else load / other
-    ends = SCRATCH + 3 * N * N
-    for i in range(N):
-        row, integral = at + N * i, at + N * N + N * i
-        x[ends + i] = (
-            x[row] * omega + x[row + 1] * amps + x[row + 2] * twist + x[row + 3] * load_omega
-            + x[integral] * b0 + x[integral + 1] * b1 + x[integral + 3] * b3
-        )  # fmt: skip
-    turn, twice = at + N * N, at + 2 * N * N
-    turned = (
-        x[turn] * omega + x[turn + 1] * amps + x[turn + 2] * twist + x[turn + 3] * load_omega
-        + x[twice] * b0 + x[twice + 1] * b1 + x[twice + 3] * b3
-    )  # fmt: skip
-    flowing = x[ends + 1] if lagged else volts - (x[ends] / gain if emf else 0.0)
-    return turned, x[ends], flowing, x[ends + 2], x[ends + 3]
+    after = _row(m, 0, omega, amps, twist, load_omega) + _pushed(m, SQUARE, b0, b1, b3)
+    flowing = _row(m, N, omega, amps, twist, load_omega) + _pushed(m, SQUARE + N, b0, b1, b3)
+    twisted = _row(m, 2 * N, omega, amps, twist, load_omega) + _pushed(m, SQUARE + 2 * N, b0, b1, b3)
+    load_after = _row(m, 3 * N, omega, amps, twist, load_omega) + _pushed(m, SQUARE + 3 * N, b0, b1, b3)
+    turned = _row(m, SQUARE, omega, amps, twist, load_omega) + _pushed(m, 2 * SQUARE, b0, b1, b3)
+    if not lagged:
+        flowing = volts - (after * per_gain if emf else 0.0)
+    return turned, after, flowing, twisted, load_after
 
 
 @inlined
@@ -183,26 +212,34 @@ def flow(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-d
     """Angle turned by the motor and speed, current, twist and load speed after ``h`` in a regime."""
     omega, amps, twist, load_omega = motion
     volts, force, beyond = forces
-    gain, mass, own, other, stiff, damp, half_gap = bodies
+    gain, per_gain, mass, own, other, _, per_other, stiff, damp, half_gap = bodies
     joined, sprung, stuck, stuck_load, emf, lag, ohms, contact = regime
     if sprung:
         held = (1 if stuck else 0) + (2 if stuck_load else 0) + (4 if emf else 0)
         offset = stiff * contact * half_gap
         return two_bodies(
-            omega, amps, twist, load_omega, volts, force + offset, beyond - offset, stiff, damp, gain, own, other,
-            lag, ohms, held, h, x, at,
+            omega, amps, twist, load_omega, volts, force + offset, beyond - offset, stiff, damp, gain, per_gain, own,
+            other, lag, ohms, held, h, x, at,
         )  # fmt: skip
     if stuck:
         turn, after, flowing = 0.0, 0.0, volts
         if lag > 0.0:
             flowing = volts / ohms + (amps - volts / ohms) * exp(-h * ohms / lag)
     elif joined:
-        turn, after, flowing = one_body(omega, amps, volts, force + beyond, gain, gain * mass, lag, ohms, emf, h, x, at)
+        turn, after, flowing = one_body(
+            omega, amps, volts, force + beyond, gain, per_gain, gain * mass, lag, ohms, emf, h, x, at
+        )
     else:
-        turn, after, flowing = one_body(omega, amps, volts, force, gain, gain * own, lag, ohms, emf, h, x, at)
+        turn, after, flowing = one_body(omega, amps, volts, force, gain, per_gain, gain * own, lag, ohms, emf, h, x, at)
     if joined:
         return turn, after, flowing, twist, after
     if stuck_load:
         return turn, after, flowing, twist + turn, 0.0
-    rate = beyond / other
+    rate = beyond * per_other
     return turn, after, flowing, twist + turn - (load_omega + 0.5 * rate * h) * h, load_omega + rate * h
+
+
+@part
+def flow_again(motion, forces, bodies, regime, h, x, at):  # type: ignore[no-untyped-def]
+    """``flow``, called where it is rarely needed."""
+    return flow(motion, forces, bodies, regime, h, x, at)

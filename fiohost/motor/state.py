@@ -15,11 +15,12 @@ WARMTH = [slot for name, slot in OWN.items() if effects()[name].warms]
 # Behind the state: the effects' own at the middle of a step, then exponentials, as most steps are as long as the one
 # before: those of a whole step, of half a step, and of a part.
 MIDDLE = len(OWN)
-ONE_BODY, TWO_BODIES = 5, 53
+ONE_BODY, TWO_BODIES = 8, 53
 WHOLE = STATE_SIZE + MIDDLE
 HALF, PART = WHOLE + ONE_BODY + TWO_BODIES, WHOLE + 2 * (ONE_BODY + TWO_BODIES)
 SCRATCH = WHOLE + 3 * (ONE_BODY + TWO_BODIES)
-WORK_SIZE = SCRATCH + 4 * 16
+PULSE = SCRATCH + 6 * 16  # length of a pulse, time constant, and what the one leaves of the other
+WORK_SIZE = PULSE + 3
 
 BRAKE = 2
 DRIVE = 1
@@ -33,3 +34,5 @@ STOP_ON, STOP = EFFECT_INDEX["hard_stop"], layout()["hard_stop"]
 
 SMALLEST_SHARE = 0.01
 SMALLEST_LAG_S = 9e-6
+# Steps in one span at the most; usual are one to ten.
+MOST_STEPS = 400

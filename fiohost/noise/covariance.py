@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiohost.motor.compiled import compiled
+
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST, DRIVEN, COASTS = 0, 1, 2
 # A shaft that coasts has no back-emf to brake it: so many times the lag, and the gain with it.
@@ -40,16 +42,21 @@ def driven_output(
     times_s: np.ndarray, moving: np.ndarray, torque_pct: np.ndarray, gain: float, tau_s: float, kind: int
 ) -> np.ndarray:
     """Output (n) that a torque (n) makes, as ``response`` has it, along a whole run."""
-    n = len(times_s)
-    speed, angle = np.zeros((n, 1)), np.zeros((n, 1))
-    for k, step in enumerate(np.diff(times_s).tolist()):
+    angle, speed = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
+    _driven(times_s, moving, torque_pct, gain, tau_s, angle[:, 0], speed[:, 0])
+    return _seen(times_s, angle, speed, kind)[:, 0]
+
+
+@compiled
+def _driven(times_s, moving, torque_pct, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+    for k in range(len(times_s) - 1):
+        step = times_s[k + 1] - times_s[k]
         angle[k + 1] = angle[k]
         if moving[k] != REST:
             lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
             goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s * torque_pct[k]
             angle[k + 1] += goes * speed[k] + full * (step - goes)
             speed[k + 1] = (1.0 - goes / lag) * speed[k] + full * goes / lag
-    return _seen(times_s, angle, speed, kind)[:, 0]
 
 
 def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiohost.motor.compiled import compiled
 from fiohost.noise.estimate import Noise
 
 
@@ -17,7 +18,12 @@ def draw_torque(times_s: np.ndarray, noise: Noise, rng: np.random.Generator) -> 
     stays = np.exp(-np.diff(times_s) / time_s)
     kicks = np.concatenate(([1.0], np.sqrt(1.0 - stays**2))) * rng.standard_normal(len(times_s))
     torque = np.empty(len(times_s))
-    torque[0] = kicks[0]
-    for k, stay in enumerate(stays):
-        torque[k + 1] = stay * torque[k] + kicks[k + 1]
+    _walk(stays, kicks, torque)
     return torque_pct * torque
+
+
+@compiled
+def _walk(stays, kicks, torque):  # type: ignore[no-untyped-def]
+    torque[0] = kicks[0]
+    for k in range(len(stays)):
+        torque[k + 1] = stays[k] * torque[k] + kicks[k + 1]

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from fiohost.noise import covariance
+from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 
@@ -30,7 +31,8 @@ class Ranged:
 @dataclass(frozen=True)
 class Noise:
     """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
-    with the correlation time ``torque_s``. ``deviance`` is -2 log likelihood; ``samples`` are those that it is from.
+    with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
+    ``samples`` are those that it is from.
     """
 
     sensor: Ranged
@@ -38,6 +40,7 @@ class Noise:
     torque_s: Ranged
     deviance: float = 0.0
     samples: int = 0
+    runs: RunToRun = NO_SCATTER
 
     @property
     def torque_known(self) -> bool:
@@ -112,58 +115,59 @@ def _merged(groups: Sequence[Group]) -> list[Group]:
     return [Group(np.column_stack(parts), motor) for (_, motor), parts in alike.items()]
 
 
-@lru_cache(maxsize=256)
-def _torque_part(n: int, motor: Motor, time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pieces of n samples: the basis (n, m) outside their starts, in which the torque's covariance is diagonal, that
-    diagonal (m) for 1 %, and the counts' covariance (m, m) in it.
+@lru_cache(maxsize=1024)
+def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of pieces of n samples: the basis (n, m) outside their starts in which the torque's covariance is diagonal, and
+    that diagonal (m) for 1 % and a motor of unit gain.
     """
-    times, moving = np.arange(n) * motor.step_s, np.full(n, covariance.DRIVEN)
-    free = covariance.outside(covariance.starts(times, moving, motor.tau_s, motor.kind))
-    acts = free.T @ covariance.response(times, moving, motor.gain, motor.tau_s, motor.kind)
+    times, moving = np.arange(n) * step_s, np.full(n, covariance.DRIVEN)
+    free = covariance.outside(covariance.starts(times, moving, tau_s, kind))
+    acts = free.T @ covariance.response(times, moving, 1.0, tau_s, kind)
     values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)
-    basis = free @ vectors
-    return basis, np.maximum(values, 0.0), basis.T @ covariance.counts(n, motor.quantum, motor.kind) @ basis
+    return free @ vectors, np.maximum(values, 0.0)
 
 
-@dataclass(frozen=True)
-class _Diagonal:
-    """Pieces in a basis where all covariances are diagonal: variance ``own`` + sigma_p^2 ``torque`` (m) each, squares
-    (m) of what is left summed over ``count`` pieces, and the part of the deviance that no torque changes.
-    """
-
-    own: np.ndarray
-    torque: np.ndarray
-    squares: np.ndarray
-    count: int
-    fixed: float
+def _rounded(tau_s: float, settings: NoiseSettings) -> float:
+    """A lag near enough for the shape of covariances, so that work on them serves for all models of one motor."""
+    return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
 
 
-def _diagonal(group: Group, time_s: float, sensor: float) -> _Diagonal:
+def _group_deviances(
+    group: Group, time_s: float, sensors: np.ndarray, torques: np.ndarray, settings: NoiseSettings
+) -> np.ndarray:
+    """-2 log likelihood (sensors, torques) of the pieces of a group, but for a constant."""
     (n, count), motor = group.residuals.shape, group.motor
-    basis, torque, counted = _torque_part(n, motor, time_s)
-    left = basis.T @ group.residuals
+    basis, torque = _torque_part(n, _rounded(motor.tau_s, settings), motor.kind, motor.step_s, time_s)
+    left, torque = basis.T @ group.residuals, torque * motor.gain**2
     if motor.kind != covariance.MEAN_SPEED:
-        own = np.full(len(torque), sensor**2 + motor.quantum**2 / 12.0 + 1e-300)
-        return _Diagonal(own, torque, np.sum(left**2, axis=1), count, 0.0)
+        squares = np.sum(left**2, axis=1)
+        own = sensors**2 + motor.quantum**2 / 12.0 + 1e-300
+        variance = own[:, None, None] + torques[None, :, None] ** 2 * torque
+        return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=2))
     # Counts of a mean speed are not white: made so first, with the sensor's noise.
-    own = np.linalg.cholesky(counted + (sensor**2 + 1e-12 * float(np.trace(counted)) + 1e-300) * np.eye(len(torque)))
-    inverse = np.linalg.inv(own)
-    values, vectors = np.linalg.eigh((inverse * torque) @ inverse.T)
-    squares = np.sum((vectors.T @ inverse @ left) ** 2, axis=1)
-    fixed = 2.0 * count * float(np.log(np.diag(own)).sum())
-    return _Diagonal(np.ones(len(torque)), np.maximum(values, 0.0), squares, count, fixed)
-
-
-def _deviances(groups: Sequence[Group], times_s: np.ndarray, sensors: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """-2 log likelihood (times, sensors, torques), but for a constant."""
-    found = np.zeros((len(times_s), len(sensors), len(torques)))
-    for i, time_s in enumerate(times_s):
-        for j, sensor in enumerate(sensors):
-            for group in groups:
-                d = _diagonal(group, float(time_s), float(sensor))
-                variance = d.own[None, :] + torques[:, None] ** 2 * d.torque[None, :]
-                found[i, j] += d.fixed + np.sum(d.count * np.log(variance) + d.squares / variance, axis=1)
+    found = np.empty((len(sensors), len(torques)))
+    counted = basis.T @ covariance.counts(n, motor.quantum, motor.kind) @ basis
+    for j, sensor in enumerate(sensors):
+        least = 1e-12 * float(np.trace(counted)) + 1e-300
+        root = np.linalg.cholesky(counted + (sensor**2 + least) * np.eye(len(torque)))
+        inverse = np.linalg.inv(root)
+        values, vectors = np.linalg.eigh((inverse * torque) @ inverse.T)
+        squares = np.sum((vectors.T @ inverse @ left) ** 2, axis=1)
+        variance = 1.0 + torques[:, None] ** 2 * np.maximum(values, 0.0)
+        fixed = 2.0 * count * float(np.log(np.diag(root)).sum())
+        found[j] = fixed + np.sum(count * np.log(variance) + squares / variance, axis=1)
     return found
+
+
+def _deviances(
+    groups: Sequence[Group],
+    settings: NoiseSettings,
+    times_s: np.ndarray,
+    sensors: np.ndarray,
+    torques: np.ndarray,
+) -> np.ndarray:
+    """-2 log likelihood (times, sensors, torques), but for a constant."""
+    return np.array([sum(_group_deviances(g, float(t), sensors, torques, settings) for g in groups) for t in times_s])
 
 
 def estimate(
@@ -185,10 +189,10 @@ def estimate(
     axes = [times, sensors, torques]
     # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
     for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
-        deviances = _deviances(groups, *axes)
+        deviances = _deviances(groups, settings, *axes)
         for i in closer:
             axes[i] = _closer(axes[i], _profile(deviances, i), settings)
-    deviances = _deviances(groups, *axes)
+    deviances = _deviances(groups, settings, *axes)
     best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
     ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
     time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)

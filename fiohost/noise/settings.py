@@ -19,22 +19,33 @@ class NoiseSettings:
     slowest_share: float = 0.15
     # From a torque that is white at the sample time to one that is constant within a window.
     times_s: tuple[float, float] = (0.01, 3.0)
-    time_looks: int = 9
+    time_looks: int = 7
     # Sensor noise as a share of what is left, from next to nothing to all of it.
     sensor_span: tuple[float, float] = (0.03, 1.5)
-    sensor_looks: int = 14
+    sensor_looks: int = 9
     # Torque in percent of duty: below, no bench can tell it; above, nothing would run.
     torque_span_pct: tuple[float, float] = (1e-3, 30.0)
-    torque_looks: int = 40
+    torque_looks: int = 16
     # The grid is drawn anew, closer, around what is within so much of the least deviance: more than any interval asks.
     sensor_zooms: int = 2
-    zooms: int = 2
+    zooms: int = 3
     near_deviance: float = 9.0
+    # A lag is taken to so much of itself: the shape of covariances does not hang on less.
+    lag_step: float = 0.05
     # 95 % intervals by profile likelihood (Wilks 1938): 3.84 where pieces are independent. Those that follow each other
     # share the torque, and counts are not normal: at 3.84 intervals held the truth 260 times of 288 on drawn sets.
     interval_deviance: float = 5.4
+    # Scatter over runs is looked for in so many runs at least, on grids of gain and friction (shares) and load (percent
+    # of duty), one after the other; it is believed at the 99 % point of chi-squared for one parameter.
+    least_runs: int = 3
+    run_spans: tuple[tuple[float, float], ...] = ((1e-4, 0.2), (1e-3, 1.0), (0.01, 10.0))
+    run_looks: int = 40
+    run_sweeps: int = 3
+    run_deviance: float = 6.63
     # Lags of the whiteness test: a tenth of a window at 200 Hz.
     lags: int = 20
+    # A window's autocorrelation counts for so many standard deviations at most.
+    most_of_a_window: float = 3.0
     # One-sided 1 % point of the normal distribution.
     white_sigmas: float = 2.326
     # A step of the readings is one where 99 % of their differences are multiples of it to this share of it (by chance a

@@ -34,22 +34,29 @@ class Whitener:
 
     @classmethod
     def of(
-        cls, times_s: np.ndarray, moving: np.ndarray, firsts: np.ndarray, lasts: np.ndarray, motor: Motor, noise: Noise
+        cls,
+        times_s: np.ndarray,
+        moving: np.ndarray,
+        weights: np.ndarray,
+        firsts: np.ndarray,
+        lasts: np.ndarray,
+        motor: Motor,
+        noise: Noise,
     ) -> Whitener:
         """For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n); ``moving`` (n) says how the shaft
-        moves from a sample to the next.
+        moves from a sample to the next, ``weights`` (n) by what counts that err alike are weighed together.
         """
         places: dict[bytes, list[int]] = {}
         spans: dict[bytes, int] = {}
         for a, b in zip(firsts.tolist(), lasts.tolist(), strict=True):
             steps = np.rint(np.diff(times_s[a:b]) / motor.step_s * 20.0).astype(np.int32)
-            key = steps.tobytes() + moving[a:b].tobytes()
+            key = steps.tobytes() + moving[a:b].tobytes() + weights[a:b].tobytes()
             places.setdefault(key, []).append(a)
             spans[key] = b
         alike = []
         for key, found in places.items():
             a, b = found[-1], spans[key]
-            alike.append(_Alike(np.array(found), *_whitening(times_s[a:b], moving[a:b], motor, noise)))
+            alike.append(_Alike(np.array(found), *_whitening(times_s[a:b], moving[a:b], weights[a:b], motor, noise)))
         return cls(alike)
 
     def apply(self, series: np.ndarray) -> np.ndarray:
@@ -63,11 +70,14 @@ class Whitener:
         return out
 
 
-def _whitening(times_s: np.ndarray, moving: np.ndarray, motor: Motor, noise: Noise) -> tuple[np.ndarray, float]:
+def _whitening(
+    times_s: np.ndarray, moving: np.ndarray, weights: np.ndarray, motor: Motor, noise: Noise
+) -> tuple[np.ndarray, float]:
     n = len(times_s)
     if n < 3:
         return np.zeros((n, n)), 0.0  # its own start takes all of it
-    own = covariance.counts(n, motor.quantum, motor.kind) + noise.sensor.value**2 * np.eye(n)
+    own = covariance.counts(n, motor.quantum, motor.kind) / np.outer(weights, weights)
+    own += noise.sensor.value**2 * np.eye(n)
     if noise.torque_pct.value > 0.0 and moving.any():
         acts = covariance.response(times_s, moving, motor.gain, motor.tau_s, motor.kind) * noise.torque_pct.value
         own = own + acts @ covariance.torque(times_s, noise.torque_s.value) @ acts.T
@@ -85,18 +95,24 @@ def _whitening(times_s: np.ndarray, moving: np.ndarray, motor: Motor, noise: Noi
 def unevenness(
     whitened: Sequence[np.ndarray], edges: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS
 ) -> float:
-    """How far whitened residuals (n each) are from white: their squared autocorrelations summed over lags (Box and
-    Pierce 1970), taken within windows of ``edges`` (m + 1 each) and pooled over all.
+    """How far whitened residuals (n each) are from white: their autocorrelations within windows of ``edges`` (m + 1
+    each), pooled over all windows, squared and summed over lags (Box and Pierce 1970).
+
+    No window counts for more than some standard deviations: one in which the shaft stuck, and the model's did not, says
+    nothing of all the others.
     """
-    products, power, samples = np.zeros(settings.lags), 0.0, 0
+    sums, windows = np.zeros(settings.lags), 0
     for series, ends in zip(whitened, edges, strict=True):
         for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
             part = series[a:b]
-            size = min(settings.lags, len(part) - 1)
-            products[:size] += [float(part[k + 1 :] @ part[: -k - 1]) for k in range(size)]
-            power += float(part @ part)
-            samples += len(part)
-    return samples * float(np.sum((products / power) ** 2)) if power > 0.0 else 0.0
+            power = float(part @ part)
+            if len(part) <= settings.lags or power <= 0.0:
+                continue
+            along = np.array([float(part[k + 1 :] @ part[: -k - 1]) for k in range(settings.lags)]) / power
+            most = settings.most_of_a_window
+            sums += np.clip(np.sqrt(len(part)) * along, -most, most)
+            windows += 1
+    return float(np.sum(sums**2)) / max(windows, 1)
 
 
 def is_white(value: float, draws: Sequence[float], settings: NoiseSettings = SETTINGS) -> bool:

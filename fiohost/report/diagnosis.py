@@ -9,8 +9,9 @@ import numpy as np
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 if TYPE_CHECKING:
+    from fiohost.advice.empirical import Empirical
     from fiohost.discover.diagnose import Diagnosis
-    from fiohost.discover.empirical import Empirical
+    from fiohost.discover.missing_torque import ForceCurve
 
 TORQUE = "torque"
 VARIABLE_LABELS = {
@@ -45,15 +46,32 @@ def series_of(found: Diagnosis) -> list[SeriesPlot]:
 
 
 def curves_of(found: Diagnosis) -> list[CurvePlot]:
-    """What the remaining missing torque follows, where it follows anything."""
-    if found.final.follows:
-        return []
+    """The missing torque and what the named effects take up of it; then what the rest follows, if anything."""
     length = "deg" if found.train[0].rotary else "mm"
+    named = [_force(c, found, length) for c in found.curves] if found.steps else []
+    if found.final.follows:
+        return named
     term = found.outlook.empirical
     return [
+        *named,
         *([_empirical(term, VARIABLE_LABELS[term.variable].format(length=length))] if term else []),
         *_dependences(found, length),
     ]
+
+
+def _force(curve: ForceCurve, found: Diagnosis, length: str) -> CurvePlot:
+    """What the declared model lacks over a variable, what the named effects take up, and what is left."""
+    x, lacked, left = curve.points.T
+    names = ", ".join(s.effect.replace("_", " ") for s in found.steps)
+    share = f"{curve.follows_pct:.0f} % of it, by chance {curve.by_chance_pct:.0f} %"
+    return CurvePlot(
+        title=f"Missing torque against {curve.variable}: {share}",
+        x_label=VARIABLE_LABELS[curve.variable].format(length=length),
+        y_label="missing torque (% of duty)",
+        x=x,
+        lines={names: lacked - left},
+        points={"declared model lacks": (x, lacked), "left": (x, left)},
+    )
 
 
 def _empirical(term: Empirical, x_label: str) -> CurvePlot:

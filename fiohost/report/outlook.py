@@ -105,7 +105,8 @@ def print_outlook(console: Console, diagnosis: Mapping[str, Any]) -> None:
         console.print()
     upcoming, why = diagnosis.get("next_experiment"), upcoming_sentence(diagnosis)
     if upcoming:
-        console.print(Text.assemble(("Next experiment: ", "bold"), f"fiohost run {upcoming.get('experiment')}"))
+        what = upcoming.get("experiment") if upcoming.get("in_words") else f"fiohost run {upcoming.get('experiment')}"
+        console.print(Text.assemble(("Next experiment: ", "bold"), str(what)))
         console.print(Padding(Text(why), (0, 0, 0, 2)))
     elif why:
         console.print(Text(why))

@@ -29,6 +29,7 @@ from fiohost.report.series import CurvePlot, SeriesPlot
 __all__ = ["CurvePlot", "SeriesPlot", "write_page"]
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
+STYLE = Path(__file__).with_name("page.css")
 
 
 def write_page(
@@ -88,6 +89,7 @@ def render(
     floor = (diagnosis.get("semantics") or {}).get("floor_window_rms")
     return template.render(
         title=title,
+        style=STYLE.read_text(encoding="utf-8"),
         version=diagnosis.get("fiohost_version", __version__),
         verdict=str(diagnosis.get("verdict", "")),
         sentence=words.verdict_sentence(diagnosis),

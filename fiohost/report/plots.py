@@ -54,7 +54,7 @@ def plot_series(series: SeriesPlot) -> Figure:
     residuals = [(name, y) for name, y in (("before", series.before), ("after", series.after)) if y is not None]
     heights = [3.0] + [1.25] * len(residuals) + ([0.9] if series.duty_pct is not None else [])
     figure, rows = _figure(9.0, 1.1 + 1.1 * sum(heights), heights)
-    pick = _thin(series.time_s, series.measured)
+    pick = thin(series.time_s, series.measured)
     time_s = series.time_s[pick]
 
     top = rows[0]
@@ -67,7 +67,7 @@ def plot_series(series: SeriesPlot) -> Figure:
 
     for axes, (name, y) in zip(rows[1:], residuals, strict=False):
         error = series.measured - y
-        keep = _thin(series.time_s, error)
+        keep = thin(series.time_s, error)
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         if np.isfinite(series.floor_rms) and series.floor_rms > 0:
             axes.axhspan(-series.floor_rms, series.floor_rms, color=FLOOR, alpha=0.25, linewidth=0)
@@ -254,19 +254,19 @@ def save_plots(
 
 def _figure(width_in: float, height_in: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     """Panels above each other that share the x axis."""
-    figure = _canvas(width_in, height_in)
+    figure = canvas(width_in, height_in)
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": list(heights)})
     return figure, list(axes[:, 0])
 
 
 def _columns(width_in: float, height_in: float) -> tuple[Figure, tuple[Axes, Axes]]:
     """Two panels side by side that share the y axis."""
-    figure = _canvas(width_in, height_in)
+    figure = canvas(width_in, height_in)
     left, right = figure.subplots(1, 2, sharey=True)
     return figure, (left, right)
 
 
-def _canvas(width_in: float, height_in: float) -> Figure:
+def canvas(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -291,7 +291,7 @@ def _log_axis(axes: Axes, values: Array) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _thin(time_s: Array, values: Array) -> Array | Any:
+def thin(time_s: Array, values: Array) -> Array | Any:
     """Indices of the least and greatest sample of each of MAX_POINTS/2 pieces: peaks survive, files stay small."""
     n = len(time_s)
     if n <= MAX_POINTS:

@@ -10,6 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 DASH = "–"
+RUN_WORDS = {"linear.gain_deg_s_per_pct": "a gain", "constant_load.level_pct": "an offset load"}
+LEVELS = {
+    "noise": "to within the noise",
+    "repeatability": "to within what the bench repeats",
+    "tolerance": "to within what is asked",
+}
 MORE_HELD_OUT = " What was held out is not all followed by it."
 ROLE_WORDS = {"train": "training", "holdout": "held out"}
 
@@ -129,25 +135,33 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
             f"out{_level(diagnosis)}."
         )
     if verdict == "no_missing_effect":
-        level = "to within the noise" if diagnosis.get("explained_to") == "noise" else "down to their floor"
+        level = LEVELS.get(str(diagnosis.get("explained_to")), "down to their floor")
         return f"Nothing is missing: {declared} explains the data {level}{_level(diagnosis)}.{_noise(diagnosis)}"
     if verdict == "explained":
         said = f"Missing from {declared}: {listed(found)}{_clock(diagnosis)}. {change}{_noise(diagnosis)}"
         return f"{said}{MORE_HELD_OUT if more else ''}"
     remains = f"what remains follows {rest}" if rest else "what remains follows nothing that was looked at"
     if found:
+        share = diagnosis.get("explained_pct")
+        much = f" {number(share, 3)} % of the error is explained." if isinstance(share, (int, float)) else ""
         return (
-            f"Partly explained: adding {listed(found)} helped, but structure remains. {change} Unexplained: {remains}."
+            f"Partly explained: adding {listed(found)} helped, but structure remains.{much} {change} "
+            f"Unexplained: {remains}."
         )
     return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
 
 
 def _noise(diagnosis: Mapping[str, Any]) -> str:
-    """What is left where the data are explained to within the noise; empty otherwise."""
+    """What is left where the data are explained to within the noise or what the bench repeats; empty otherwise."""
     noise = diagnosis.get("noise")
-    if diagnosis.get("explained_to") != "noise" or not isinstance(noise, Mapping):
+    if diagnosis.get("explained_to") not in LEVELS or not isinstance(noise, Mapping):
         return ""
     parts = []
+    for key, told in (diagnosis.get("run_to_run") or {}).items():
+        size = (
+            f"{number(told['sd_pct'], 2)} %" if told.get("sd_pct") else with_unit(told["sd"]["value"], "% of duty", 2)
+        )
+        parts.append(f"{RUN_WORDS.get(key, effect_words(key.partition('.')[0]))} that scatters by {size} between runs")
     for key, what in (("sensor_rms", "sensor noise"), ("torque_rms_pct", "a random torque")):
         told = noise[key]
         if told["ci95"][0] > 0.0:

@@ -43,7 +43,7 @@ def state_of(motor: Motor) -> State:
     y, m = motor._y, motor._m
     x = np.zeros(STATES)
     x[:6] = y[[THETA, OMEGA, CURRENT, LOAD_THETA, LOAD_OMEGA, SLIP]]
-    x[6], x[7] = y[slots()["armature_heating"]], y[slots()["friction_warm_up"]]
+    x[6:] = [y[slots()[name]] for name in ("armature_heating", "friction_warm_up", "gain_warm_up")]
     return State(x, float(m[CONTACT]), bool(m[STOPPED]))
 
 

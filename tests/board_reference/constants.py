@@ -43,17 +43,35 @@ TAKEN: dict[str, tuple[str, str, float]] = {
     "stop": ("hard_stop", "angle_rad", math.inf),
     "stiffness": ("shaft_compliance", "stiffness_Nm_per_rad", 0.0),
     "damping": ("shaft_compliance", "damping_Nms", 0.0),
+    "viscous": ("viscous_friction", "drag_Nms", 0.0),
+    "one_way": ("viscous_friction_by_direction", "drag_Nms", 0.0),
+    "thin": ("sublinear_viscous_friction", "torque_Nm", 0.0),
+    "knee": ("sublinear_viscous_friction", "knee_rad_s", 1.0),
+    "ripple": ("clock_ripple", "ratio", 0.0),
+    "ripple_hz": ("clock_ripple", "frequency_Hz", 1.0),
+    "ripple_phase": ("clock_ripple", "phase_rad", 0.0),
+    "magnet": ("gain_warm_up", "ratio", 0.0),
+    "magnet_tau": ("gain_warm_up", "time_constant_s", 1.0),
 }
+# The two curves over the angle: where they begin, after which angle they repeat, and the torques of their points.
+CURVES = ("load_over_position", "friction_over_position")
+POINTS = 12
 # Set as the run goes on: the command, what has changed, and who moves which way, is held, touches or lets flow.
 REGIME = ("duty", "standby", "inertia", "friction", "gain", "side", "held", "resting", "contact", "pressed", "flow")
 # resting: on the end of travel (the load, where there are two bodies); pressed: the closed face of a gap with a spring.
 # limited: current at its limit, its sign; sag: the supply's share of the resistance, ohm; half: half the play;
 # load_J: inertia beyond gap or spring.
-OTHER = ("half", "load_J", "fast", "limited", "sag")
-RECORD = np.dtype([(name, np.float64) for name in (*MOTOR, *TAKEN, *OTHER, *REGIME)])
+# uphill: the direction that rubs more; ripples: what swings by the clock, 1 torque, 2 gain; warms: what the magnets
+# follow, in the order of WARMERS; period: of the PWM, s.
+OTHER = ("half", "load_J", "fast", "limited", "sag", "uphill", "ripples", "warms", "period")
+WARMERS = ("running", "time", "heat")
+RECORD = np.dtype(
+    [(name, np.float64) for name in (*MOTOR, *TAKEN, *OTHER, *REGIME)]
+    + [(name, np.float64, (2 + POINTS,)) for name in CURVES]
+)
 
-# State x: angle, speed, current, load's angle and speed, bristle, winding's warmth (K), grease's warmth (0..1).
-STATES = 8
+# State x: angle, speed, current, load's angle and speed, bristle, warmth of winding (K), grease and magnets (0..1).
+STATES = 9
 # Regimes of the current: open through the diodes or driven (its sign), none, or pulses that cease in every period.
 PULSES = 2.0
 
@@ -71,10 +89,26 @@ def record(plant: Plant) -> Any:
     gap, spring = q.get("backlash", {}), q.get("shaft_compliance", {})
     c["half"] = 0.5 * gap.get("gap_rad", 0.0)
     c["load_J"] = max(gap.get("load_inertia_kgm2", 0.0), spring.get("load_inertia_kgm2", 0.0))
-    c["fast"] = float("fast_decay" in q)
+    c["fast"] = float(opens(plant))
+    c["period"] = 1.0 / q.get("coast_pwm", {}).get("pwm_Hz", 20e3)
+    c["uphill"] = -1.0 if q.get("viscous_friction_by_direction", {}).get("direction") == "reverse" else 1.0
+    if "clock_ripple" in q:
+        c["ripples"] = 1.0 if q["clock_ripple"]["of"] == "torque" else 2.0
+    if "gain_warm_up" in q:
+        c["warms"] = WARMERS.index(q["gain_warm_up"]["follows"])
+    for name in CURVES:
+        c[name][0, :2] = 0.0, 1.0
+        if name in q:
+            heights = [q[name][f"torque_{i}_Nm"] for i in range(1, POINTS)]
+            c[name][0] = [q[name]["from_rad"], q[name]["span_rad"], *heights, -sum(heights)]
     for name in ("inertia", "friction", "gain", "standby"):
         c[name] = 1.0
     return c
+
+
+def opens(plant: Plant) -> bool:
+    """Whether the bridge is open between pulses."""
+    return "fast_decay" in plant.effects or "coast_pwm" in plant.effects
 
 
 def effective(plant: Plant, duty: float) -> float:
@@ -83,6 +117,11 @@ def effective(plant: Plant, duty: float) -> float:
     if "pwm_resolution" in q:
         levels = q["pwm_resolution"]["levels"]
         size = round(size / 100.0 * levels + 1e-9) * 100.0 / levels  # from halfway up
+    if "duty_steps" in q:
+        step, rounding = q["duty_steps"]["step_pct"], q["duty_steps"]["rounding"]
+        places = {"cut": math.floor(size / step + 1e-9), "up": math.ceil(size / step - 1e-9)}
+        stair = step * places.get(rounding, math.floor(size / step + 0.5 + 1e-9))
+        size = min(max(size + q["duty_steps"]["share"] * (stair - size), 0.0), 100.0)
     if "duty_curve" in q:
         size = 100.0 * (size / 100.0) ** q["duty_curve"]["exponent"]
     if "input_deadband" in q:

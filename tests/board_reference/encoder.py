@@ -25,6 +25,7 @@ class Encoder:
     def __init__(self, plant: Plant, angle: float) -> None:
         effects = plant.effects
         self.disc = effects.get("encoder_eccentricity", {})
+        self.shaft = effects.get("shaft_angle_error", {})
         self.share = float(effects.get("missed_counts", {}).get("ratio", 0.0))
         self.quantum = 2.0 * math.pi / plant.counts_per_rev
         edges = np.arange(plant.counts_per_rev, dtype=float)
@@ -40,9 +41,15 @@ class Encoder:
 
     def shown(self, angle: float) -> float:
         """What a disc off its centre shows of an angle, rad; its slots as if they were even."""
-        if not self.disc:
-            return angle
-        return angle + self.disc["level_rad"] * math.sin(self.disc["order"] * angle + self.disc["phase_rad"])
+        shown = angle
+        if self.disc:
+            shown += self.disc["level_rad"] * math.sin(self.disc["order"] * angle + self.disc["phase_rad"])
+        if self.shaft:
+            at = shown if self.disc else angle
+            shown += sum(
+                self.shaft[f"level_{n}_rad"] * math.sin(n * at + self.shaft[f"phase_{n}_rad"]) for n in (1, 2, 3)
+            )
+        return shown
 
     def passed(self, angle: float) -> int:
         """The last edge passed; edge 0 of turn 0 is number 0."""

@@ -11,9 +11,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from .constants import PULSES, STATES
+from .constants import POINTS, PULSES, STATES
 
-PERIOD_S = 1.0 / 20e3
 HAIR = 1e-13  # N m, rad/s2: a balance that is exact is no event
 PLAY = 1e-12  # rad, beyond the gap: bodies that part with next to no force do not meet again by a rounding
 law: Any = numba.njit(cache=True)
@@ -23,10 +22,18 @@ law: Any = numba.njit(cache=True)
 
 
 @law
-def full_volts(t, c):
+def swing(t, c):
+    q = c[0]
+    return q.ripple * math.sin(2.0 * math.pi * q.ripple_hz * t + q.ripple_phase)
+
+
+@law
+def full_volts(t, x, c):
     """Voltage at full duty, positive."""
     q = c[0]
-    volts = q.supply * max(1.0 + q.drift * t, 0.0) * q.gain
+    volts = q.supply * max(1.0 + q.drift * t, 0.0) * q.gain * (1.0 + q.magnet * x[8])
+    if q.ripples == 2.0:
+        volts *= 1.0 + swing(t, c)
     return volts * q.reverse_gain if q.duty < 0.0 else volts
 
 
@@ -40,12 +47,13 @@ def hot_ohms(x, c):
 def push(t, x, c):
     """Voltage left for the winding's resistance and inductance, bridge losses apart."""
     q = c[0]
-    return q.duty / 100.0 * full_volts(t, c) - q.Ke * x[1]
+    return q.duty / 100.0 * full_volts(t, x, c) - q.Ke * x[1]
 
 
 @law
 def pulse(t, x, c):
-    """Fast decay from zero current: time for the run-down less the time there is, in s; mean current along the duty.
+    """Open between pulses, from zero current: time for the run-down less the time there is, in s; mean current along
+    the duty; whether the pulse meets the limit.
 
     The peak follows from the rise through R and L, the run-down from the peak; the mean from the volt-seconds, because
     a current that begins and ends a period at zero leaves none in the inductance.
@@ -55,16 +63,23 @@ def pulse(t, x, c):
     part = abs(q.duty) / 100.0
     ohms = hot_ohms(x, c)
     emf = way * q.Ke * x[1]
-    on = full_volts(t, c) - q.drop - emf
-    off = full_volts(t, c) + q.drop + q.diode + emf
+    on = full_volts(t, x, c) - q.drop - emf
+    off = full_volts(t, x, c) + q.drop + q.diode + emf
     if on <= 0.0:
-        return -(1.0 - part) * PERIOD_S, 0.0
+        return -(1.0 - part) * q.period, 0.0, False
     if off <= 0.0:
-        return 1.0, (part * on - (1.0 - part) * off) / ohms
-    decay = math.exp(-part * PERIOD_S * ohms / q.L)
-    peak = on / ohms * (1.0 - decay)
+        return 1.0, (part * on - (1.0 - part) * off) / ohms, False
+    rise_s = part * q.period
+    peak = on / ohms * (1.0 - math.exp(-rise_s * ohms / q.L))
+    meets = peak > q.limit
+    if meets:
+        peak = q.limit
+        rise_s = q.L / ohms * math.log(on / (on - ohms * q.limit))
     down_s = q.L / ohms * math.log((off + ohms * peak) / off)
-    return down_s - (1.0 - part) * PERIOD_S, min((part * on - off * down_s / PERIOD_S) / ohms, q.limit)
+    mean = (on * rise_s - off * down_s) / ohms / q.period
+    if meets:
+        mean += q.limit * (part - rise_s / q.period)
+    return down_s - (1.0 - part) * q.period, mean, meets
 
 
 @law
@@ -91,7 +106,7 @@ def outward(t, x, c):
     if q.fast:
         part = abs(q.duty) / 100.0
         way = 1.0 if q.duty > 0.0 else -1.0
-        full = full_volts(t, c)
+        full = full_volts(t, x, c)
         if q.flow * way < 0.0:
             volts = full + q.drop
         else:
@@ -101,6 +116,24 @@ def outward(t, x, c):
 
 
 # -- torques
+
+
+@law
+def curve(angle, points):
+    """Height at an angle: through four neighbours by their weights, which is Catmull and Rom's cubic."""
+    place = (angle - points[0]) / points[1] * POINTS
+    k = math.floor(place)
+    u = place - k
+    weights = (
+        -u * (1.0 - u) ** 2 / 2.0,
+        1.0 + u * u * (3.0 * u - 5.0) / 2.0,
+        u * (1.0 + u * (4.0 - 3.0 * u)) / 2.0,
+        -u * u * (1.0 - u) / 2.0,
+    )
+    height = 0.0
+    for n in range(4):
+        height += weights[n] * points[2 + (int(k) + n - 1) % POINTS]
+    return height
 
 
 @law
@@ -116,8 +149,9 @@ def level(t, x, side, c):
         size += (q.forward + q.reverse) / 2.0
     size += q.stribeck * math.exp(-((x[1] / q.stribeck_speed) ** 2))
     size += q.tooth * abs(q.Kt * current(t, x, c))
+    size += curve(x[0], q.friction_over_position)
     size *= 1.0 + q.turn * math.sin(q.turn_order * x[0] + q.turn_phase)
-    return size * (1.0 - q.grease * x[7]) * q.friction
+    return max(size * (1.0 - q.grease * x[7]) * q.friction, 0.0)
 
 
 @law
@@ -147,18 +181,22 @@ def motor_torque(t, x, c):
     """All torques on the motor but sliding friction; with one body, the loads too."""
     q = c[0]
     torque = q.Kt * current(t, x, c) - q.B * x[1] - q.drag * x[1] * abs(x[1])
+    torque -= q.viscous * x[1] + (q.one_way * x[1] if x[1] * q.uphill > 0.0 else 0.0)
+    torque -= q.thin * math.asinh(x[1] / q.knee)
+    if q.ripples == 1.0:
+        torque += q.Kt * q.supply / q.R * swing(t, c)
     torque -= q.cog * math.sin(q.cog_order * x[0] + q.cog_phase)
     if q.bristle > 0.0:
         torque -= level(t, x, np.sign(x[5]), c) * x[5] / q.bristle
     if q.load_J > 0.0:
         return torque - passed(x, c)
-    return torque - q.load - q.weight * math.sin(x[0] + q.weight_phase)
+    return torque - q.load - q.weight * math.sin(x[0] + q.weight_phase) - curve(x[0], q.load_over_position)
 
 
 @law
 def load_torque(x, c):
     q = c[0]
-    return passed(x, c) - q.load - q.weight * math.sin(x[3] + q.weight_phase)
+    return passed(x, c) - q.load - q.weight * math.sin(x[3] + q.weight_phase) - curve(x[3], q.load_over_position)
 
 
 @law
@@ -211,6 +249,13 @@ def rates(t, x, c):
     if q.grease > 0.0:
         turning = 1.0 if q.side != 0.0 or d[0] != 0.0 else 0.0
         d[7] = (turning - x[7]) / q.grease_tau
+    if q.magnet != 0.0:
+        warm = 1.0
+        if q.warms == 0.0:
+            warm = 1.0 if q.side != 0.0 or d[0] != 0.0 else 0.0
+        elif q.warms == 2.0:
+            warm = (i * q.R / q.supply) ** 2
+        d[8] = (warm - x[8]) / q.magnet_tau
     return d
 
 
@@ -262,10 +307,10 @@ def margin(which, t, x, c):
     if which == UNBROKEN:  # the pulses still cease
         return -pulse(t, x, c)[0] * 1e4
     if which == RETURNED:  # the back-emf is not above the supply
-        return full_volts(t, c) + q.drop - (q.Ke * x[1] if q.duty > 0.0 else -q.Ke * x[1])
+        return full_volts(t, x, c) + q.drop - (q.Ke * x[1] if q.duty > 0.0 else -q.Ke * x[1])
     if which == CEASING:
-        late, mean = pulse(t, x, c)
-        return max(late * 1e4, (x[2] if q.duty > 0.0 else -x[2]) - mean)
+        late, mean, meets = pulse(t, x, c)
+        return max(late * 1e4, -1.0 if meets else (x[2] if q.duty > 0.0 else -x[2]) - mean)
     if which == NO_CURRENT:
         return current(t, x, c) if q.L > 0.0 else push(t, x, c)
     if which == LOSS:

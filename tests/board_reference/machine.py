@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from firmware_model.plants import Plant
 
 from . import laws
-from .constants import PULSES, STATES, effective, record
+from .constants import PULSES, STATES, effective, opens, record
 from .encoder import Encoder
 
 RTOL, ATOL = 1e-12, 1e-13
@@ -67,6 +67,7 @@ class Reference:
         self.way = sign(self.q["stop"])
         self.delay = plant.effects.get("transport_delay", {}).get("delay_s", 0.0)
         self.change = plant.effects.get("parameter_change", {})
+        self.smooth = plant.effects.get("supply_sag", {}).get("smoothing") != "none"
         self.stride = LONGEST_S
         self.edges, self.drop = edges, float(self.q["drop"])
         self.encoder = Encoder(plant, self.disc)
@@ -137,13 +138,13 @@ class Reference:
         """Fast decay: against the duty, without a gap, or in pulses that cease in every period."""
         q, c, x = self.q, self.c, self.x
         way = sign(q["duty"])
-        late, mean = laws.pulse(t, x, c)
+        late, mean, meets = laws.pulse(t, x, c)
         i = way * x[2]
-        returns = fired == laws.RETURNED or way * q["Ke"] * x[1] > laws.full_volts(t, c) + q["drop"]
+        returns = fired == laws.RETURNED or way * q["Ke"] * x[1] > laws.full_volts(t, x, c) + q["drop"]
         if i < 0.0 or (i == 0.0 and returns):
             q["flow"] = -way
             return self.choose_limit(t, fired, [laws.CURRENT_END])
-        if fired != laws.UNBROKEN and (fired == laws.CEASING or (late < 0.0 and i <= mean + 1e-12)):
+        if fired != laws.UNBROKEN and (fired == laws.CEASING or (late < 0.0 and (meets or i <= mean + 1e-12))):
             q["flow"] = PULSES
             return [laws.UNBROKEN, laws.RETURNED]
         q["flow"] = way
@@ -338,9 +339,10 @@ class Reference:
         """A command at the bridge, averaged over a period; fast decay without pulses leaves it open."""
         q = self.q
         q["duty"] = effective(self.plant, duty)
-        q["fast"] = float(mode == DRIVEN and "fast_decay" in self.plant.effects)
+        q["fast"] = float(mode == DRIVEN and opens(self.plant))
         q["standby"] = float(mode == STANDBY or (q["fast"] and q["duty"] == 0.0))
-        q["sag"] = q["source"] * (q["duty"] / 100.0) ** 2
+        share = abs(q["duty"]) / 100.0
+        q["sag"] = q["source"] * (share**2 if self.smooth else share)
 
     def segment(self, t: float, end: float, mode: int, duty: float) -> float:
         """The bridge in one part of a period of the PWM, its edges resolved; returns the time of the next edge."""
@@ -350,15 +352,15 @@ class Reference:
         if mode != DRIVEN:
             return end
         share, way = min(abs(q["duty"]) / 100.0, 1.0), sign(q["duty"])
-        period = math.floor(t / laws.PERIOD_S + 1e-6)
+        period = math.floor(t / q["period"] + 1e-6)
         q["standby"] = q["fast"] = q["sag"] = 0.0
-        if t / laws.PERIOD_S - period < share - 1e-6:
-            # The mean over a period of what the supply's resistance takes is borne by the pulse.
-            q["duty"], q["sag"] = 100.0 * way, q["source"] * share
-            return min(end, (period + share) * laws.PERIOD_S)
-        if "fast_decay" in self.plant.effects:
+        if t / q["period"] - period < share - 1e-6:
+            # With a capacitor the pulse bears the mean over a period of what the supply's resistance takes.
+            q["duty"], q["sag"] = 100.0 * way, q["source"] * (share if self.smooth else 1.0)
+            return min(end, (period + share) * q["period"])
+        if opens(self.plant):
             # Open: the current runs down against the supply, through a pair of diodes.
             q["duty"] = way
-            q["drop"] += laws.full_volts(t, self.c) + q["diode"] if way else q["supply"] - self.drop
+            q["drop"] += laws.full_volts(t, self.x, self.c) + q["diode"] if way else q["supply"] - self.drop
         q["duty"] = 0.0
-        return min(end, (period + 1) * laws.PERIOD_S)
+        return min(end, (period + 1) * q["period"])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.option(
     "--port", default="A", show_default=True, metavar="A|B", help="Motor port; rows of the other are left out."
 )
-@click.option("--inductance", default="0.0047", show_default=True, metavar="H", help="Of the winding, by a meter.")
+@click.option("--inductance", metavar="H", help="Of the winding, by a meter; without, it is measured.")
 @click.option("--supply", metavar="V", help="Armature voltage at full power, where readings do not say (4.5).")
 @click.option("--save", "save_to", metavar="F", help="Write the constants for --constants of the other experiments.")
 @result_options
@@ -33,7 +33,7 @@ def characterise(
     target: str,
     seed: str | None,
     port: str,
-    inductance: str,
+    inductance: str | None,
     supply: str | None,
     save_to: str | None,
     report: str | None,
@@ -49,7 +49,7 @@ def characterise(
     from fiohost.labs.readings import Readings, check_port
 
     check_port(port, "--port")
-    L_H = parse_number("--inductance", inductance, 0.0, 10.0, "H")
+    L_H = None if inductance is None else parse_number("--inductance", inductance, 0.0, 10.0, "H")
     full_V = None if supply is None else parse_number("--supply", supply, 0.1, 1000.0, "V")
     out, folder = output_for(json_to), report_folder(report)
     if save_to is not None:
@@ -75,7 +75,7 @@ def characterise(
     present(result, out, folder)
 
 
-def _measured(target: str, seed: str | None, port: str, L_H: float, full_V: float | None) -> Readings:
+def _measured(target: str, seed: str | None, port: str, L_H: float | None, full_V: float | None) -> Readings:
     """Readings by the virtual meters of a simulated board."""
     from fiohost.bench.connect import connect
     from fiohost.labs.constants import TEXT

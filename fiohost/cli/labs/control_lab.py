@@ -21,14 +21,16 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 MOST_TORQUE_NM = 10.0
 
 
-def bench_options(target: str, constants: str) -> Callable[[Command], Command]:
+def bench_options(target: str, constants: str, saturation: str = "both") -> Callable[[Command], Command]:
     """Add the options of every experiment: where it is done, with which constants, limits and output."""
 
     def add(command: Command) -> Command:
-        limits_help = "both, voltage (4.5 V), current (1 A) or none."
+        limits_help = "both, voltage (4.5 V), current (1 A), half (2.25 V, 1 A) or none."
         for option in (
+            click.option("--diagnose/--no-diagnose", "name_it", default=True, show_default=True,
+                         help="At the end, name what the model lacks beside the target."),
             click.option("--animate", is_flag=True, help="Also a moving picture (GIF)."),
-            click.option("--saturation", default="both", show_default=True, metavar="LIMITS", help=limits_help),
+            click.option("--saturation", default=saturation, show_default=True, metavar="LIMITS", help=limits_help),
             click.option("--constants", default=constants, show_default=True, metavar="SET|FILE",
                          help="The motor's constants: no_load, arm_measured, arm_tuned, elevator, or a file."),
             click.option("--seed", metavar="N", help="How the shaft of a simulated board starts."),
@@ -70,13 +72,18 @@ def _do(options: dict[str, Any], experiment: Callable[[Session], LabResult]) -> 
         options["target"], options["constants"], folder, seed=seed, saturation=options["saturation"]
     ) as session:
         result = experiment(session)
+        model = session.constants.model()
+    if options["name_it"]:
+        from fiohost.labs.difference import with_difference
+
+        result = with_difference(result, model, out)
     present(result, out, folder)
 
 
 @click.command("open-loop-step")
 @click.option("--volts", default="1,3,-2", show_default=True, metavar="LIST", help="Steps of voltage.")
 @disturbance_options("-0.05", "2")
-@bench_options("sim:nxt_no_load", "no_load")
+@bench_options("sim:nxt_lego", "no_load")
 def open_loop_step(volts: str, disturbance: str, disturbance_at: str, animate: bool, **options: Any) -> None:
     """Steps of voltage: speed, time constant, friction and inertia from it, on model and target (steps 1 to 8).
 
@@ -99,7 +106,7 @@ def open_loop_step(volts: str, disturbance: str, disturbance_at: str, animate: b
 @click.option("--large", default="10", show_default=True, metavar="V", help="Amplitude that does.")
 @click.option("--log", "log_from", metavar="F", help="Only the gain and phase calculator, on this log.")
 @click.option("--frequency", metavar="RAD_S", help="The calculator's frequency.")
-@bench_options("sim:nxt_no_load", "no_load")
+@bench_options("sim:nxt_lego", "no_load")
 def open_loop_sine(
     frequencies: str, small: str, large: str, log_from: str | None, frequency: str | None, animate: bool, **options: Any
 ) -> None:
@@ -137,7 +144,7 @@ def open_loop_sine(
 @click.option("--refs", default="12,-10,15", show_default=True, metavar="LIST", help="Steps of speed, rad/s.")
 @click.option("--gear-load", default="0.5", show_default=True, metavar="KGM2", help="Inertia behind the 1:24 gear.")
 @disturbance_options("-0.05", "1")
-@bench_options("sim:nxt_no_load", "no_load")
+@bench_options("sim:nxt_lego", "no_load")
 def speed_control(
     gains: str, refs: str, gear_load: str, disturbance: str, disturbance_at: str, animate: bool, **options: Any
 ) -> None:
@@ -167,7 +174,7 @@ def speed_control(
 @click.option("--overshoot", default="30", show_default=True, metavar="PCT", help="Of the PI to be designed.")
 @click.option("--rise", default="0.1", show_default=True, metavar="S", help="Of the PI to be designed.")
 @disturbance_options("-0.1", "2")
-@bench_options("sim:nxt_no_load", "no_load")
+@bench_options("sim:nxt_lego", "no_load")
 def position_control(
     step_deg: str, gains: str, integral_with: str, integrals: str, pid: str, overshoot: str, rise: str,
     disturbance: str, disturbance_at: str, animate: bool, **options: Any,
@@ -198,6 +205,47 @@ def position_control(
     _do(options, lambda session: experiment(session, plan))
 
 
+@click.command("fine-tuning")
+@click.option("--kp", default="3", show_default=True, metavar="KP", help="P gain, V/rad.")
+@click.option("--step", "step_deg", default="160", show_default=True, metavar="DEG", help="Step of the reference.")
+@click.option("--tune", default="J", show_default=True, metavar="J|B|both", help="What is tuned.")
+@click.option("--save", "save_to", metavar="F", help="Write the tuned constants for the other experiments.")
+@bench_options("sim:nxt_lego_arm", "arm_measured", saturation="half")
+def fine_tuning(kp: str, step_deg: str, tune: str, save_to: str | None, animate: bool, **options: Any) -> None:
+    """Tune the inertia (or the friction) until the model's position response is the target's (section D-1-6).
+
+    \b
+    Example:
+      fiohost lab fine-tuning --save arm.toml
+      fiohost lab fine-tuning --tune both --kp 5
+    """
+    from dataclasses import replace
+    from pathlib import Path
+
+    from fiohost.files import claim
+    from fiohost.labs.constants import MotorConstants
+    from fiohost.labs.fine_tuning import fine_tuning as experiment
+
+    if animate:
+        raise ConfigError("--animate belongs to the other experiments")
+    gain = parse_number("--kp", kp, 0.01, 1000.0, "V/rad")
+    step = parse_number("--step", step_deg, -100_000.0, 100_000.0, "deg")
+    if abs(step) < 1.0:
+        raise ConfigError(f"--step {step:g}: a step of less than a degree is lost in the encoder's counts")
+    if save_to is not None:
+        claim(save_to)
+
+    def tuned(session: Session) -> LabResult:
+        found = experiment(session, gain, step, tune)
+        if save_to is not None:
+            source = f"{session.constants.source}, tuned by {session.target}"
+            MotorConstants(**found.values["constants"], source=source).write(Path(save_to))
+            found = replace(found, files={**found.files, "constants": save_to})
+        return found
+
+    _do(options, tuned)
+
+
 @click.command("design-project")
 @click.option("--angle", default="60", show_default=True, metavar="DEG", help="Where the cup stands, -90 to 90.")
 @click.option("--gains", metavar="P,I,D", help="A controller of your own; without it one is searched for.")
@@ -207,7 +255,7 @@ def position_control(
 @click.option("--height", default="0.1", show_default=True, metavar="M", help="Height of the drop.")
 @click.option("--payload", default="0.015", show_default=True, metavar="KG", help="Mass of the payload.")
 @click.option("--cup", default="0.025", show_default=True, metavar="M", help="Radius of the cup.")
-@bench_options("sim:nxt_arm_measured", "arm_measured")
+@bench_options("sim:nxt_lego_arm", "arm_measured")
 def design_project(
     angle: str, gains: str | None, wait: str, release: str, arm: str, height: str, payload: str, cup: str,
     animate: bool, **options: Any,
@@ -236,7 +284,7 @@ def design_project(
 
 @click.command("steps")
 @click.option("--only", metavar="LIST", help="Some steps by number, as 16,21,25.")
-@bench_options("sim:nxt_no_load", "no_load")
+@bench_options("sim:nxt_lego", "no_load")
 def steps(only: str | None, animate: bool, **options: Any) -> None:
     """The text's steps 1 to 25: the command of each, and its answer by this run.
 

@@ -21,7 +21,16 @@ MOST_RUNS = 20  # of a list of gains
 
 
 @click.command()
-@click.option("--target", default="sim:nxt_elevator", show_default=True, metavar="T", help="The bench with the car.")
+@click.option(
+    "--target", default="sim:nxt_lego_elevator", show_default=True, metavar="T", help="The bench with the car."
+)
+@click.option(
+    "--diagnose/--no-diagnose",
+    "name_it",
+    default=True,
+    show_default=True,
+    help="At the end, name what the model lacks beside the target.",
+)
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
 @wire_options
 @click.option("--gains", default="2,3,5", show_default=True, metavar="LIST", help="P gains, V/rad.")
@@ -29,28 +38,43 @@ MOST_RUNS = 20  # of a list of gains
 @click.option("--ki-with", default="2", show_default=True, metavar="KP", help="The P gain beside them.")
 @click.option("--powers", default="40,60,80", show_default=True, metavar="LIST", help="Power limits, %.")
 @click.option("--powers-with", default="5", show_default=True, metavar="KP", help="The P gain beside them.")
+@click.option("--kd", default="0.1,0.2,0.3", show_default=True, metavar="LIST", help="Derivative gains, V s/rad.")
+@click.option("--kd-with", default="5", show_default=True, metavar="KP", help="The P gain beside them.")
 @click.option("--ride-kp", default="5", show_default=True, metavar="KP", help="P gain of the ride by buttons.")
 @click.option("--ride-ki", default="0", show_default=True, metavar="KI", help="Its integral gain.")
 @click.option("--ride-power", default="40", show_default=True, metavar="PCT", help="Its power limit.")
 @click.option("--presses", metavar="LIST", help="When buttons are held: up@1,up@3.5:0.7,down@9 (seconds:held).")
 @click.option("--live", is_flag=True, help="Only the ride, by keys: u d one floor, U D two, q ends it.")
-@click.option("--current-limit", metavar="A", help="Current limit of the model; the text's simulation has 1 A.")
+@click.option(
+    "--current-limit",
+    metavar="A",
+    default="1",
+    show_default=True,
+    help="Current limit of model and target; none for none.",
+)
+@click.option(
+    "--car-mass", default="0.124", show_default=True, metavar="KG", help="Of the car, for its constants by parts."
+)
 @click.option("--full-scale", default="4.5", show_default=True, metavar="V", help="The target's full duty in volts.")
 @result_options
 def elevator(
     target: str,
+    name_it: bool,
     seed: str | None,
     gains: str,
     ki: str,
     ki_with: str,
     powers: str,
     powers_with: str,
+    kd: str,
+    kd_with: str,
     ride_kp: str,
     ride_ki: str,
     ride_power: str,
     presses: str | None,
     live: bool,
-    current_limit: str | None,
+    current_limit: str,
+    car_mass: str,
     full_scale: str,
     report: str | None,
     json_to: str | None,
@@ -76,6 +100,7 @@ def elevator(
     from fiohost.labs.elevator.buttons import parse_presses
     from fiohost.labs.elevator.car import Design
     from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment
+    from fiohost.labs.elevator.parts import Parts
 
     ride = Design(
         parse_number("--ride-kp", ride_kp, 0.01, 1000.0, "V/rad"),
@@ -88,14 +113,24 @@ def elevator(
         integral_with=parse_number("--ki-with", ki_with, 0.01, 1000.0, "V/rad"),
         powers_pct=_numbers("--powers", powers, 1.0, 100.0),
         power_with=parse_number("--powers-with", powers_with, 0.01, 1000.0, "V/rad"),
+        derivative_gains=_numbers("--kd", kd, 0.001, 100.0),
+        derivative_with=parse_number("--kd-with", kd_with, 0.01, 1000.0, "V/rad"),
         ride=ride,
         presses=parse_presses(presses or DEFAULT_PRESSES),
-        current_limit_A=None if current_limit is None else parse_number("--current-limit", current_limit, 0.05, 100.0),
+        current_limit_A=None
+        if current_limit == "none"
+        else parse_number("--current-limit", current_limit, 0.05, 100.0),
+        parts=Parts(car_kg=parse_number("--car-mass", car_mass, 0.0, 1.0, "kg")),
         full_scale_V=parse_number("--full-scale", full_scale, 0.5, 1000.0, "V"),
     )
     folder = report_folder(report)
     with connect(target, seed=parse_seed(seed), realtime=live) as bench:
         result = _live(bench, plan, folder, out) if live else experiment(bench, plan, folder, out)
+    if name_it and not live:
+        from fiohost.labs.difference import with_difference
+        from fiohost.labs.elevator.car import car_model
+
+        result = with_difference(result, car_model(), out)
     present(result, out, folder)
 
 

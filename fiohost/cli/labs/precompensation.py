@@ -22,8 +22,8 @@ def precompensation(
     target: str, seed: str | None, profile: str | None, controller: str | None, save_to: str | None, report: str | None,
     json_to: str | None,
 ) -> None:  # fmt: skip
-    """Add shares of the deadband to a controller's output (Eq. 2.6), see where the loop jitters, and reduce them until
-    it does not.
+    """Add shares of the deadband to a controller's output (Eq. 2.6 of the INC451 lab text), see where the loop jitters,
+    and reduce them until it does not.
 
     \b
     Examples:

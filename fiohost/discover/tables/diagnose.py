@@ -11,9 +11,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost import __version__
+from fiohost.discover.candidate import Progress
 from fiohost.discover.floor import REPLICAS
 from fiohost.discover.result import clean
-from fiohost.discover.round import Progress
 from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import Evidence, TableFit
 from fiohost.discover.tables.search import Search, TableSearch, TableStage, parameter_count, select

@@ -12,20 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import betaincinv
 
-from fiohost.discover.choose import Validated, indistinguishable, objection
+from fiohost.discover.candidate import Progress
 from fiohost.discover.floor import REPLICAS, refitted
-from fiohost.discover.round import (
-    AS_GOOD_LEFT_OUT,
-    FAR,
-    HOPELESS,
-    LEAST_CV_GAIN,
-    Candidate,
-    Outcome,
-    Progress,
-    beside,
-    checked,
-)
-from fiohost.discover.search import MOST_EFFECTS
+from fiohost.discover.score import objection
 from fiohost.discover.step import named_with
 from fiohost.discover.tables.fit import (
     LOOKS,
@@ -37,6 +26,19 @@ from fiohost.discover.tables.fit import (
     without_row,
 )
 from fiohost.discover.tables.starts import downhill, held
+from fiohost.discover.tables.validated import (
+    AS_GOOD_LEFT_OUT,
+    FAR,
+    HOPELESS,
+    LEAST_CV_GAIN,
+    MOST_EFFECTS,
+    Outcome,
+    Tried,
+    Validated,
+    beside,
+    checked,
+    indistinguishable,
+)
 from fiohost.discover.verdict import SIGMAS
 from fiohost.discover.workers import each
 from fiohost.estimation.intervals import Estimate, estimates
@@ -92,7 +94,7 @@ class TableSearch:
 
     declared: TableStage
     steps: tuple[TableStep, ...]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Tried, ...]
     why_not: str | None = None
 
     @property
@@ -163,7 +165,7 @@ class Search:
         out = left_out(self.evidence, fitted) if can_be_left_out(self.evidence, fitted) else None
         return TableStage(fitted, tuple(f.model for f in fits), float(errors.mean()), limit, out)
 
-    def offered(self, model: Model) -> tuple[list[Effect], list[Candidate]]:
+    def offered(self, model: Model) -> tuple[list[Effect], list[Tried]]:
         """Effects to be tried, and those that a table says nothing of."""
         able, unable = [], []
         for item in [effects()[n] for n in (effects() if self.library is None else self.library)]:
@@ -171,7 +173,7 @@ class Search:
                 continue
             if item.angle_bound or item.trials_for is not None:
                 what = "angle" if item.angle_bound else "time"
-                unable.append(Candidate(item.name, 0.0, f"a table of readings does not say at which {what}"))
+                unable.append(Tried(item.name, 0.0, f"a table of readings does not say at which {what}"))
             elif item.trials:
                 able.append(item)
         return able, unable
@@ -227,12 +229,12 @@ class Search:
         refits = self.refits(stage.fit, offered)
         least = max(min((f.cost for f in refits if f is not None), default=0.0), float(self.evidence.samples))
         base = validated(stage.fit, stage.left_out or ())
-        passed: list[tuple[Candidate, TableFit]] = []
+        passed: list[tuple[Tried, TableFit]] = []
         for item, grown in zip(offered, refits, strict=True):
             if grown is None:
-                found.append(Candidate(item.name, 0.0, "leaves no trace in these figures"))
+                found.append(Tried(item.name, 0.0, "leaves no trace in these figures"))
                 continue
-            candidate = Candidate(item.name, 1.0 - grown.cost / max(stage.fit.cost, 1e-300), None)
+            candidate = Tried(item.name, 1.0 - grown.cost / max(stage.fit.cost, 1e-300), None)
             why: str | None = f"leaves {np.sqrt(grown.cost / least):.1f} times the error of the best"
             if grown.cost <= HOPELESS * least:
                 why = self.unbelievable(stage, item, grown, self.chance(stage.fit, grown, len(offered)))
@@ -297,7 +299,7 @@ def select(search: Search, model: Model, from_file: bool) -> TableSearch:
     if why_not is not None:
         return TableSearch(declared, (), (), why_not)
     steps: list[TableStep] = []
-    candidates: list[Candidate] = []
+    candidates: list[Tried] = []
     while not stage.at_floor and stage.left_out is not None and len(steps) < MOST_EFFECTS:
         outcome = search.round(stage)
         candidates, winner = outcome.candidates, outcome.winner

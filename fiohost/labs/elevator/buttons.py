@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from math import isfinite
 
 from fiohost.errors import ConfigError
-from fiohost.labs.elevator.car import FLOORS
+from fiohost.labs.elevator.car import TOP_FLOOR
 
 LONG_S = 0.5
 MOST_PRESSES = 1000
@@ -43,7 +43,7 @@ class Button:
 class Buttons:
     """Both buttons and the floor that they have asked for so far."""
 
-    floor: int = 1
+    floor: int = 0
     up: Button = Button()
     down: Button = Button()
 
@@ -53,7 +53,7 @@ class Buttons:
         new_down, fall = self.down.after(time_s, down)
         if new_up is self.up and new_down is self.down:
             return self
-        return Buttons(min(max(self.floor + rise - fall, 1), FLOORS), new_up, new_down)
+        return Buttons(min(max(self.floor + rise - fall, 0), TOP_FLOOR), new_up, new_down)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from fiohost.control.metrics import StepFigures, step_figures
 from fiohost.control.settings import ControlSettings
 from fiohost.labs.constants import TEXT
+from fiohost.labs.session import DERIVATIVE_FILTER_S
 from fiohost.motor.model import Model
 
 FloatArray = NDArray[np.float64]
 
-FLOORS = 7  # 1 to 7 here; the text counts 0 to 6
+TOP_FLOOR = 6  # the text's seven floors are numbered 0 to 6
 FLOOR_CM = 5.0
 DRUM_CM = 1.375
 DEG_PER_CM = degrees(1.0 / DRUM_CM)
@@ -40,37 +41,45 @@ def car_model(*, current_limit_A: float | None = None, B_Nms: float = MOTOR.B_Nm
 
 
 def floor_cm(floor: int) -> float:
-    """Height of a floor, the first at 0."""
-    return FLOOR_CM * (floor - 1)
+    """Height of a floor; the ground floor is 0."""
+    return FLOOR_CM * floor
 
 
 def floor_of(height_cm: float) -> int:
     """The floor nearest to a height."""
-    return round(height_cm / FLOOR_CM) + 1
+    return round(height_cm / FLOOR_CM)
 
 
 @dataclass(frozen=True)
 class Design:
-    """A controller as the text writes it: gains in V/rad and V/(rad s), power in percent of the maximum."""
+    """A controller as the text writes it: gains in V/rad, V/(rad s) and V s/rad, power in percent of the maximum.
+
+    The derivative is that of the car's own movement: that of a step of the demand would be one blow of full power.
+    """
 
     kp_V_per_rad: float
     ki_V_per_rad_s: float = 0.0
     power_pct: float = 100.0
+    kd_V_s_per_rad: float = 0.0
 
     @property
     def label(self) -> str:
         parts = [f"kp {self.kp_V_per_rad:g}"]
         parts += [f"ki {self.ki_V_per_rad_s:g}"] if self.ki_V_per_rad_s else []
+        parts += [f"kd {self.kd_V_s_per_rad:g}"] if self.kd_V_s_per_rad else []
         return ", ".join([*parts, f"{self.power_pct:g} % power"] if self.power_pct < 100.0 else parts)
 
     def settings(self, full_scale_V: float) -> ControlSettings:
         """The same for a bench whose full duty is a voltage. Raises ConfigError for values that make no law."""
         per_deg = 100.0 / full_scale_V / degrees(1.0)
-        kp, ki = self.kp_V_per_rad, self.ki_V_per_rad_s
+        kp, ki, kd = self.kp_V_per_rad, self.ki_V_per_rad_s, self.kd_V_s_per_rad
         return ControlSettings(
-            kind="pi" if ki else "p",
+            kind="p" + "i" * bool(ki) + "d" * bool(kd),
             kp_pct_per_deg=kp * per_deg,
             ki_pct_per_deg_s=ki * per_deg,
+            kd_pct_s_per_deg=kd * per_deg,
+            filter_s=DERIVATIVE_FILTER_S if kd else 0.0,
+            derivative_on="angle" if kd else "error",
             limit_pct=self.power_pct,
             tracking_s=kp / ki if ki else 0.0,  # given back as slowly as it integrates: a short limit leaves it alone
         )
@@ -104,20 +113,26 @@ class Move(NamedTuple):
 
     @property
     def faults(self) -> list[str]:
-        """Which of the text's criteria it fails, each with its figure."""
-        f = self.figures
-        said = []
-        if f.overshoot_pct > MOST_OVERSHOOT_PCT:
-            said.append("overshoot")
-        if abs(f.steady_state_error) >= MOST_ERROR_CM:
-            said.append("error")
-        if f.settling_5_s >= MOST_SETTLING_S:
-            said.append("settling")
-        return said
+        """Which of the text's criteria it fails."""
+        return faults_of(self.figures.overshoot_pct, self.figures.steady_state_error, self.figures.settling_5_s)
+
+
+def faults_of(overshoot_pct: float, error_cm: float, settling_s: float) -> list[str]:
+    """Which of the text's criteria these figures fail."""
+    judged = {
+        "overshoot": overshoot_pct > MOST_OVERSHOOT_PCT,
+        "error": abs(error_cm) >= MOST_ERROR_CM,
+        "settling": settling_s >= MOST_SETTLING_S,
+    }
+    return [name for name, fails in judged.items() if fails]
 
 
 def moves(record: Record) -> Iterator[Move]:
-    """The moves of a run. Where the demand changes again within a second, both changes are one move."""
+    """The moves of a run. Where the demand changes again within a second, both changes are one move.
+
+    Overshoot is of the response's own final value; rise and settling are of the height that was asked for, with which
+    the text's block diagram gives the times of its table D-12.
+    """
     changes = np.flatnonzero(np.diff(record.ref_cm)) + 1
     ends = [*changes[1:], len(record.time_s)][: len(changes)]
     begin = None
@@ -130,4 +145,4 @@ def moves(record: Record) -> Iterator[Move]:
         begin = None
         if to != was:
             times = record.time_s[own] - begin_s
-            yield Move(begin_s, was, to, step_figures(times, record.height_cm[own], start, to))
+            yield Move(begin_s, was, to, step_figures(times, record.height_cm[own], start, to, True))

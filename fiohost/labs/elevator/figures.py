@@ -7,12 +7,13 @@ from itertools import cycle
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fiohost.labs.elevator.buttons import Press
-from fiohost.labs.elevator.car import FLOORS, MOST_ERROR_CM, Record, floor_cm, floor_of
+from fiohost.labs.elevator.car import MOST_ERROR_CM, TOP_FLOOR, Record, floor_cm, floor_of
 from fiohost.labs.elevator.experiment import Run, Series
 from fiohost.report.plots import FLOOR, GREY, LINE_CYCLE, MEASURED, STYLE
 
@@ -29,8 +30,9 @@ def plot_series(part: Series) -> Figure:
     for (name, run), colour in zip(runs, cycle(LINE_CYCLE), strict=False):
         _draw(panels, run.target, colour, f"{name}, target")
     for i, (_, run) in enumerate(runs):
+        _draw_ideal(panels[0], run, "ideal, 4.5 V and 1 A" if i == 0 else None)
         _draw(panels, run.model, MEASURED, "model" if i == 0 else None, dashed=True)
-    return _finish(panels, part.title, 2)
+    return _finish(panels, part.title, 1)
 
 
 @matplotlib.rc_context(STYLE)
@@ -66,12 +68,19 @@ def _draw(panels: Sequence[Axes], record: Record, colour: str, label: str | None
         axes.plot(record.time_s, y, color=colour, label=label, **style)
 
 
+def _draw_ideal(axes: Axes, run: Run, label: str | None) -> None:
+    """The block diagram's response, put where the target's first move begins."""
+    if run.ideal is not None:
+        begin_s = float(run.target.time_s[np.argmax(run.target.ref_cm > 0.0)])
+        axes.plot(run.ideal.time_s + begin_s, run.ideal.height_cm, color=GREY, linewidth=0.9, label=label)
+
+
 def _finish(panels: Sequence[Axes], title: str, highest: int) -> Figure:
     """Floors as green lines with their numbers on the right, the allowed error as a green band, axes named."""
     height, error, duty = panels
-    for floor in range(1, FLOORS + 1):
+    for floor in range(TOP_FLOOR + 1):
         height.axhline(floor_cm(floor), color=FLOOR, linewidth=1.0, alpha=0.7, zorder=1.5)
-    shown = range(1, max(highest, 2) + 1)
+    shown = range(max(highest, 1) + 1)
     height.set_ylim(-ROOM_CM, floor_cm(shown[-1]) + ROOM_CM)
     floors = height.secondary_yaxis("right")
     floors.set_yticks([floor_cm(n) for n in shown], [str(n) for n in shown])

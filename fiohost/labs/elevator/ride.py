@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 
 import numpy as np
 
 from fiohost.bench.log import Log
 from fiohost.bench.program import Answer
-from fiohost.control.closed_loop import Plant, run_loop
 from fiohost.control.law import ControlLaw
 from fiohost.control.settings import ControlSettings
+from fiohost.labs.constants import MotorConstants
 from fiohost.labs.elevator.buttons import MOST_PRESSES, SHORT_PRESS_S, Buttons, Press, last_s, pressed
-from fiohost.labs.elevator.car import DEG_PER_CM, FLOOR_CM, Record, floor_cm
-from fiohost.motor.model import Model
-from fiohost.motor.simulate import Start
+from fiohost.labs.elevator.car import DEG_PER_CM, DRUM_CM, FLOOR_CM, LOAD_NM, Design, Record, floor_cm
+from fiohost.labs.play import Limits, Torque, Way, play_model
+from fiohost.labs.problems.servo import POSITION, Servo
 from fiohost.wire.messages import Command
 
 Demand = Callable[[float], float | None]  # seconds -> height in cm, None ends the run
@@ -115,13 +116,54 @@ def record_of(log: Log) -> Record:
     )
 
 
-def on_model(model: Model, settings: ControlSettings, log: Log) -> Record:
+class _Following:
+    """A control law on heights known beforehand, as the model asks it; keeps what it sent."""
+
+    def __init__(self, settings: ControlSettings, refs_deg: np.ndarray, sample_time_s: float) -> None:
+        self._law, self._refs = settings.law(sample_time_s), refs_deg.tolist()
+        self._law.reset()
+        self.sent_pct: list[float] = []
+
+    def step(self, k: int, angle_deg: float) -> tuple[float, float]:
+        ref = self._refs[min(k, len(self._refs) - 1)]
+        duty = self._law.step(ref, angle_deg)
+        self.sent_pct.append(duty)
+        return duty, ref
+
+    def applied(self, duty_pct: float) -> None:
+        pass  # the law has its own limit and knows what it cut
+
+
+def _on(
+    motor: MotorConstants, settings: ControlSettings, refs_deg: np.ndarray, way: Way, limit_A: float | None
+) -> Record:
+    """The car from rest: the motor at its full voltage, a limit of its current, the weight against upward motion."""
+    law = _Following(settings, refs_deg, way.sample_time_s)
+    limits = Limits(motor.supply_V, limit_A)
+    run = play_model(motor, law, (len(refs_deg) - 1) * way.sample_time_s, way, limits=limits, torque=Torque(-LOAD_NM))
+    refs, sent = (np.array(values)[: len(run.time_s)] for values in (run.ref, law.sent_pct))
+    return Record(run.time_s, np.round(refs / DEG_PER_CM, 6), run.angle_deg / DEG_PER_CM, sent)
+
+
+def on_model(motor: MotorConstants, settings: ControlSettings, log: Log, limit_A: float | None) -> Record:
     """What the model does with the demand of a log, from rest, at the bench's tick, delay and encoder counts."""
     tick_s = log.sample_time_s
     n = round(float(log.time_s[-1]) / tick_s) + 1
     row = np.searchsorted(log.time_s, np.arange(n) * tick_s + 0.5 * tick_s, side="right") - 1
     refs_deg = (log.columns["ref_deg"] - log.output[0])[np.maximum(row, 0)]
-    loop = settings.loop(tick_s, log.command_delay_ticks * tick_s, log.output_quantum)
-    run = run_loop(Plant.of(model), loop, refs_deg, Start(0.5 * log.output_quantum, 0.0))
-    heights = run.angle_deg / DEG_PER_CM
-    return Record(run.time_s, np.round(run.ref_deg / DEG_PER_CM, 6), heights, run.duty_pct)
+    way = Way("model", tick_s, log.command_delay_ticks * tick_s, log.output_quantum)
+    return _on(motor, settings, refs_deg, way, limit_A)
+
+
+def ideal(motor: MotorConstants, design: Design, limit_A: float | None) -> Record:
+    """The text's block diagram (Fig. D-35): up at once, down after two seconds; no ticks, no delay, no counts."""
+    servo = Servo(
+        motor, FLOOR_CM / DRUM_CM, POSITION, design.kp_V_per_rad, design.ki_V_per_rad_s, design.kd_V_s_per_rad,
+        load_Nm=-LOAD_NM, limit_V=0.01 * design.power_pct * motor.supply_V,
+        limit_A=inf if limit_A is None else limit_A, second_ref=0.0, second_from_s=STAY_S,
+    )  # fmt: skip
+    found = servo.run(2.0 * STAY_S)
+    asked_cm = np.where(found.time_s < STAY_S, FLOOR_CM, 0.0)
+    columns = (found.time_s, asked_cm, DRUM_CM * found.angle, 100.0 / motor.supply_V * found.volts)
+    before = (-found.time_s[1], 0.0, 0.0, 0.0)  # at rest, so that the step at 0 is seen as one
+    return Record(*(np.concatenate(([first], rest)) for first, rest in zip(before, columns, strict=True)))

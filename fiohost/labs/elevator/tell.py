@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import exp
 from typing import TYPE_CHECKING, Any
@@ -13,20 +13,22 @@ import numpy as np
 from fiohost.labs.elevator.buttons import Press
 from fiohost.labs.elevator.car import (
     DRUM_CM,
-    FLOORS,
     LOAD_NM,
     MOST_ERROR_CM,
     MOST_OVERSHOOT_PCT,
     MOST_SETTLING_S,
     MOTOR,
+    TOP_FLOOR,
+    Design,
     Move,
-    car_model,
+    faults_of,
     floor_of,
     moves,
 )
-from fiohost.labs.elevator.experiment import Plan, Run, Series
-from fiohost.labs.elevator.ride import STAY_S
-from fiohost.labs.result import Answer, Table
+from fiohost.labs.elevator.experiment import ON, TEXT_LIMIT_A, Run, Series
+from fiohost.labs.elevator.ride import STAY_S, ideal
+from fiohost.labs.printed import Printed, printed
+from fiohost.labs.result import Answer, Cell, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,10 +39,25 @@ CRITERIA = {"overshoot_pct": MOST_OVERSHOOT_PCT, "error_cm": MOST_ERROR_CM, "set
 
 def table(part: Series) -> Table:
     """A series as the text prints it: up first, then down; model and target one below the other."""
-    made = [(name, on, move) for name, run in part.runs.items() for on, move in run.moves()]
-    made.sort(key=lambda row: row[2].way == "down")
-    rows = [[move.way, name, on, *_cells(move)] for name, on, move in made]
+    rows: list[list[Cell]] = []
+    for name, run in part.runs.items():
+        rows += [[move.way, name, on, *_cells(move)] for on, move in run.moves()]
+        for text in _printed(part, run.design):
+            error = text.error or 0.0
+            faults = faults_of(text.overshoot_pct, error, text.settling_5_s)
+            rows.append([str(text.settings["way"]), name, text.who, text.overshoot_pct, text.settling_5_s, text.rise_s,
+                         error, "no" if faults else "yes"])  # fmt: skip
+    rows.sort(key=lambda row: row[0] == "down")
     return Table(part.title, ("way", "gain", *COLUMNS), rows)
+
+
+def _printed(part: Series, design: Design) -> list[Printed]:
+    """The text's own rows for a design."""
+    rows = printed(part.table) if part.table else ()
+    wanted: dict[str, float] = {"kp": design.kp_V_per_rad}
+    wanted |= {"ki": design.ki_V_per_rad_s} if part.key == "pi" else {}
+    wanted |= {"power_pct": design.power_pct} if part.key == "power" else {}
+    return [row for row in rows if row.has(**wanted)]
 
 
 def values(part: Series) -> list[dict[str, Any]]:
@@ -48,6 +65,7 @@ def values(part: Series) -> list[dict[str, Any]]:
         {
             "kp_V_per_rad": run.design.kp_V_per_rad,
             "ki_V_per_rad_s": run.design.ki_V_per_rad_s,
+            "kd_V_s_per_rad": run.design.kd_V_s_per_rad,
             "power_pct": run.design.power_pct,
             "move": move.way,
             "on": on,
@@ -58,25 +76,31 @@ def values(part: Series) -> list[dict[str, Any]]:
     ]
 
 
-def notes(plan: Plan) -> tuple[str, ...]:
-    limit = "no current limit" if plan.current_limit_A is None else f"current limit {plan.current_limit_A:g} A"
-    return (
-        f"Model: {MOTOR.source}, load {LOAD_NM:g} N m against upward motion, full duty {MOTOR.supply_V:g} V, {limit} "
-        "(the text's simulation has one of 1 A, the plant nxt_elevator has none).",
-        "Overshoot (PO) and settling to 5 % are of the response's own final value (Eq. D-30), rise from 10 to 90 %; "
-        "a target is read at 0.5 deg, 0.012 cm. Height is zero where the car stands when a run begins.",
-        f"Floors are numbered 1 to {FLOORS}; the text counts 0 to {FLOORS - 1}.",
+def notes(limit_A: float | None, asked_A: float | None) -> tuple[str, ...]:
+    limit = "no limit of the current" if limit_A is None else f"a current of {limit_A:g} A at most"
+    said: tuple[str, ...] = (
+        f"Model: {MOTOR.source}, load {LOAD_NM:g} N m against upward motion, full duty {MOTOR.supply_V:g} V, {limit}, "
+        f"as the target. Ideal is the text's block diagram: no ticks, no delay, no counts, {MOTOR.supply_V:g} V and "
+        f"{TEXT_LIMIT_A:g} A, the step at once.",
+        "Overshoot (PO) is of the response's own final value (Eq. D-30), settling to 5 % and rise from 10 to 90 % are "
+        "of the height that was asked for; a target is read at 0.5 deg, 0.012 cm. Height is zero where the car stands "
+        "when a run begins.",
     )
+    if limit_A is None and asked_A is not None:
+        said += (f"Nothing limits the target's current, so neither it nor the model has the limit of {asked_A:g} A.",)
+    return said
 
 
-def answers(series: Sequence[Series], plan: Plan) -> list[Answer]:
-    p, pi, power, found = series
+def answers(series: Sequence[Series], limit_A: float | None) -> list[Answer]:
+    p, pi, power, pd, found = series
     return [
         Answer("Which P gains meet overshoot 5 %, error 1 mm and settling 1 s?", _meeting(p)),
         Answer("What leaves the error, and how large is it?", _droop(p)),
-        Answer("Is the model good enough, and would more viscous friction make it better?", _model_error(p, plan)),
+        Answer("Is the model good enough, and would more viscous friction make it better?", _model_error(p, limit_A)),
         Answer("Which integral gain takes the error away?", _integral(pi)),
         Answer("What does limiting the power do?", _power(power)),
+        Answer("What does a derivative do instead?", _derivative(pd)),
+        Answer("Does the text's block diagram give the text's figures?", _text(p)),
         Answer("Which design meets every criterion both ways?", _found(found)),
     ]
 
@@ -85,6 +109,7 @@ def _meeting(part: Series) -> str:
     said = []
     for run in part.runs.values():
         made = list(run.moves())
+        made = [(on, move) for on, move in made if on in ON[1:]]
         faults = {on: sorted({fault for where, move in made if where == on for fault in move.faults}) for on, _ in made}
         verdicts = [f"fails by {' and '.join(why)}" if why else "meets them" for why in faults.values()]
         same = len(set(verdicts)) == 1
@@ -108,24 +133,20 @@ def _droop(part: Series) -> str:
     )
 
 
-def _model_error(part: Series, plan: Plan) -> str:
-    from fiohost.labs.elevator.search import simulate
-
+def _model_error(part: Series, limit_A: float | None) -> str:
     apart = [
         abs(model.figures.overshoot_pct - target.figures.overshoot_pct)
         for run in part.runs.values()
         for (_, model), (_, target) in zip(_of(run, "model"), _of(run, "target"), strict=False)
     ]
-    thicker = car_model(current_limit_A=plan.current_limit_A, B_Nms=2.0 * MOTOR.B_Nms)
+    thicker = replace(MOTOR, B_Nms=2.0 * MOTOR.B_Nms)
     changed = []
     for run in part.runs.values():
-        record = simulate(thicker, run.design, float(np.diff(run.model.time_s).min()), 0.0)
-        before = next(move for _, move in _of(run, "model"))
-        after = next(moves(record))
+        before, after = (next(moves(ideal(motor, run.design, TEXT_LIMIT_A))) for motor in (MOTOR, thicker))
         changed.append(f"{before.figures.overshoot_pct:.1f} to {after.figures.overshoot_pct:.1f} %")
     return (
         f"Overshoots of model and target differ by at most {max(apart, default=0.0):.2g} points. Twice the viscous "
-        f"friction would change the model's upward overshoot at these gains from {', '.join(changed)}."
+        f"friction would change the ideal model's upward overshoot at these gains from {', '.join(changed)}."
     )
 
 
@@ -157,6 +178,37 @@ def _power(part: Series) -> str:
     )
 
 
+def _derivative(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        of_target = [move for on, move in run.moves() if on == "target"]
+        most, slowest = (max(getattr(m.figures, key) for m in of_target) for key in ("overshoot_pct", "settling_5_s"))
+        met = "all criteria met" if not any(m.faults for m in of_target) else "not all criteria met"
+        said.append(
+            f"kd {run.design.kd_V_s_per_rad:g}: overshoot up to {most:.1f} %, settling up to {slowest:.2f} s, {met}"
+        )
+    return (
+        "; ".join(said) + ". It damps the way there and leaves the steady error as it is."
+        if said
+        else "None was asked for."
+    )
+
+
+def _text(part: Series) -> str:
+    said = []
+    for run in part.runs.values():
+        up = next((move for on, move in run.moves() if on == "ideal" and move.way == "up"), None)
+        text = next((row for row in _printed(part, run.design) if row.table == "D-12"), None)
+        if up is not None and text is not None:
+            f = up.figures
+            said.append(
+                f"kp {run.design.kp_V_per_rad:g}: {f.overshoot_pct:.1f} %, {f.settling_5_s:.3f} s, {f.rise_s:.3f} s, "
+                f"{f.steady_state_error:.2f} cm; printed {text.overshoot_pct:g}, {text.settling_5_s:g}, "
+                f"{text.rise_s:g}, {text.error:g}"
+            )
+    return ". ".join(said) + "." if said else "None of its gains was asked for."
+
+
 def _found(part: Series) -> str:
     if not part.runs:
         return "None of those that were tried on the model."
@@ -185,7 +237,7 @@ def ride(run: Run, presses: Sequence[Press]) -> ToldRide:
     short = [m for m in of_target if m.floors == 1]
     long = [m for m in of_target if m.floors > 1]
     text = (
-        f"{len(presses)} presses; floors {min(floors)} to {max(floors)} were asked for, none outside 1 to {FLOORS}. "
+        f"{len(presses)} presses; floors {min(floors)} to {max(floors)} were asked for, none outside 0 to {TOP_FLOOR}. "
         f"On the target {_met(short)} of one floor and {_met(long)} of more meet the criteria."
     )
     if any("settling" in m.faults for m in long):

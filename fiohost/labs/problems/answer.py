@@ -98,17 +98,24 @@ def change_by_load(run: Response, begin_s: float) -> dict[str, float | None]:
 
 
 def speed_and_current(runs: Mapping[str, Response], until_s: float) -> Sequence[Panel]:
-    """Two panels: speed and current of some runs, up to a time."""
+    """Speed and current of some runs over all the time that was asked for, and again their beginning up to a time."""
     from fiohost.report.panels import Curve, Panel
 
-    def curves(what: str) -> list[Curve]:
+    whole_s = max(float(run.time_s[-1]) for run in runs.values())
+
+    def curves(what: str, until_s: float) -> list[Curve]:
         kept = [(name, run, run.time_s <= until_s) for name, run in runs.items()]
         return [
             Curve(run.time_s[k], getattr(run, what)[k], name if what == "speed" else "", case=i, style="plain")
             for i, (name, run, k) in enumerate(kept)
         ]
 
-    return [Panel(curves("speed"), "speed (rad/s)"), Panel(curves("amps"), "current (A)")]
+    spans = [(whole_s, "")] if until_s > 0.5 * whole_s else [(whole_s, ""), (until_s, f", the first {until_s:.2g} s")]
+    return [
+        Panel(curves(what, span), label, title=f"{name}{told}")
+        for span, told in spans
+        for what, label, name in (("speed", "speed (rad/s)", "Speed"), ("amps", "current (A)", "Current"))
+    ]
 
 
 def angle_and_volts(runs: Mapping[str, Response], ref: float) -> Sequence[Panel]:

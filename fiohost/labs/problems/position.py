@@ -15,12 +15,27 @@ from fiohost.labs.result import Cell, LabResult, Table
 
 GAINS = (0.1, 0.2, 0.5, 1.0, 2.0)
 DERIVATIVE_GAINS = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
+SLOW_PARTS, LONGEST_S = 25.0, 1000.0  # time constants after which nothing is left to see
 COLUMNS = ("overshoot (%)", "peak at (s)", "settled 5 % (s)", "rise (s)", "ITAE (rad s2)")
 
 
-def servo(n: Numbers, kp: float, kd: float = 0.0, load_Nm: float = 0.0) -> Servo:
-    """The position loop of Fig. D-26 around the motor of D-1."""
-    return Servo(motor_of(n), n["ref_rad"], POSITION, kp, kd=kd, amplifier=n["amplifier"], load_Nm=load_Nm)
+def servo(n: Numbers, kp: float, kd: float = 0.0, load_Nm: float = 0.0, of_error: bool = True) -> Servo:
+    """The position loop of Fig. D-26 around the motor of D-1, the derivative as in the text's block (Fig. D-36)."""
+    return Servo(
+        motor_of(n), n["ref_rad"], POSITION, kp, kd=kd, amplifier=n["amplifier"], load_Nm=load_Nm,
+        derivative_of_error=of_error,
+    )  # fmt: skip
+
+
+def settled_run(loop: Servo, seconds: float) -> Response:
+    """The response over the time asked for, or until its slowest part is gone: its last value is where it rests."""
+    motor, gain = loop.motor, loop.motor.Kt_Nm_per_A * loop.amplifier
+    poles = np.roots([
+        motor.L_H * motor.J_kgm2, motor.R_ohm * motor.J_kgm2 + motor.L_H * motor.B_Nms,
+        motor.R_ohm * motor.damping_Nms + gain * loop.kd, gain * loop.kp,
+    ])  # fmt: skip
+    slowest = float(np.min(-poles.real))
+    return loop.run(min(max(seconds, SLOW_PARTS / slowest), LONGEST_S) if slowest > 0.0 else seconds)
 
 
 def d12(n: Numbers) -> LabResult:
@@ -59,7 +74,7 @@ def d13(n: Numbers) -> LabResult:
 
 def d14(n: Numbers) -> LabResult:
     most = n["most_overshoot_pct"]
-    runs = {f"kp {kp:g}": servo(n, kp).run(n["seconds"]) for kp in GAINS}
+    runs = {f"kp {kp:g}": settled_run(servo(n, kp), n["seconds"]) for kp in GAINS}
     rows = _rows(runs, n)
     allowed = [row for row in rows if row[1] <= most]
     best = min(allowed, key=lambda row: row[-1])[0] if allowed else "none"
@@ -73,25 +88,40 @@ def d14(n: Numbers) -> LabResult:
         )
     ]
     values = {"best": best, "kp_with_that_overshoot": fine, "itae_rad_s2": {row[0]: row[-1] for row in rows}}
-    pictures = partial(angle_and_volts, _until(runs, 3.0), n["ref_rad"])
+    pictures = partial(angle_and_volts, _until(runs, n["seconds"]), n["ref_rad"])
     return solved(14, "position, five gains", answers, values, pictures, [_table(rows)], [_LOOP])
 
 
 def d15(n: Numbers) -> LabResult:
     runs = _by_kd(n, 0.0)
-    rows = _rows(runs, n)
-    best = min(rows, key=lambda row: row[-1])[0]
+    rows, on_angle = _rows(runs, n), _rows(_by_kd(n, 0.0, of_error=False), n)
+    best, best_on_angle = (min(of, key=lambda row: row[-1])[0] for of in (rows, on_angle))
+    optimum = best_kd(n)
     answers = [
         (
             "What does the derivative do, and which KD is good?",
             f"It damps: with kp {n['kp']:g} the overshoot falls from {rows[0][1]:.3g} % to {rows[-1][1]:.3g} % as kd "
-            f"grows; beyond some kd the shaft only gets slower. Least time-weighted error (ITAE): {best}. The steady "
-            "error without load stays 0.",
-        )
+            f"grows; beyond some kd the shaft only gets slower. Least time-weighted error (ITAE) of these: {best}, of "
+            f"all kd = {optimum:.3g}. The steady error without load stays 0.",
+        ),
+        (
+            "Does it matter what is differentiated?",
+            f"The poles are the same. With that of the angle, which no step reaches, the least ITAE is that of "
+            f"{best_on_angle} and every rise is slower: what the text's block gains is the blow of an endless voltage "
+            "in the moment of the step, which no amplifier gives.",
+        ),
     ]
-    values = {"best": best, "itae_rad_s2": {r[0]: r[-1] for r in rows}, "overshoot_pct": {r[0]: r[1] for r in rows}}
+    values = {
+        "best": best, "best_kd_V_s_per_rad": optimum, "itae_rad_s2": {r[0]: r[-1] for r in rows},
+        "overshoot_pct": {r[0]: r[1] for r in rows}, "on_angle_best": best_on_angle,
+        "on_angle_itae_rad_s2": {r[0]: r[-1] for r in on_angle},
+    }  # fmt: skip
+    tables = [
+        Table("By gain, derivative of the error (Fig. D-36)", ("gain", *COLUMNS), rows),
+        Table("By gain, derivative of the angle", ("gain", *COLUMNS), on_angle),
+    ]
     pictures = partial(angle_and_volts, _until(runs, 1.0), n["ref_rad"])
-    return solved(15, "position under PD control", answers, values, pictures, [_table(rows)], [_LOOP, _ON_ANGLE])
+    return solved(15, "position under PD control", answers, values, pictures, tables, [_LOOP, _ON_ERROR])
 
 
 def d16(n: Numbers) -> LabResult:
@@ -142,11 +172,23 @@ def _loaded(number: int, n: Numbers) -> LabResult:
     table = Table("By gain", ("gain", "at the end (rad)", "error (rad)", *COLUMNS[2:-1]), shown)
     note = "The text does not say when the load begins: taken from the beginning."
     pictures = partial(angle_and_volts, _until(runs, 1.5), n["ref_rad"])
-    return solved(number, f"D-15 with a load of {load:g} N m", answers, values, pictures, [table], [note, _ON_ANGLE])
+    return solved(number, f"D-15 with a load of {load:g} N m", answers, values, pictures, [table], [note, _ON_ERROR])
 
 
-def _by_kd(n: Numbers, load_Nm: float) -> dict[str, Response]:
-    return {f"kd {kd:g}": servo(n, n["kp"], kd, load_Nm).run(n["seconds"]) for kd in DERIVATIVE_GAINS}
+def best_kd(n: Numbers) -> float:
+    """The derivative gain of D-15 with the least ITAE."""
+    from scipy.optimize import minimize_scalar
+
+    def cost(kd: float) -> float:
+        return itae(servo(n, n["kp"], kd).run(n["seconds"]), n["ref_rad"])
+
+    return float(minimize_scalar(cost, bounds=(0.0, DERIVATIVE_GAINS[-1]), method="bounded", options={"xatol": 1e-4}).x)
+
+
+def _by_kd(n: Numbers, load_Nm: float, of_error: bool = True) -> dict[str, Response]:
+    return {
+        f"kd {kd:g}": settled_run(servo(n, n["kp"], kd, load_Nm, of_error), n["seconds"]) for kd in DERIVATIVE_GAINS
+    }
 
 
 def _until(runs: Mapping[str, Response], seconds: float) -> dict[str, Response]:
@@ -172,8 +214,7 @@ _LOOP = (
     "The text names Fig. D-3, the window of a library; taken is the loop of Fig. D-26, without limits and with an "
     "amplifier of gain 1."
 )
-_ON_ANGLE = (
-    "The derivative is that of the angle: of the error it would ask for an endless voltage in the moment of the "
-    "step. The "
-    "poles, and so the damping, are the same."
+_ON_ERROR = (
+    "The derivative is that of the error, as in the text's block (Fig. D-36): in the moment of the step it asks for an "
+    "endless voltage, which the picture leaves out."
 )

@@ -24,9 +24,7 @@ def curve(theta_deg: float, q: Any) -> float:
     yb = last if b == POINTS - 1 else q[FIRST + b]
     yc = last if c == POINTS - 1 else q[FIRST + c]
     yd = last if d == POINTS - 1 else q[FIRST + d]
-    return float(
-        yb + 0.5 * t * (yc - ya + t * (2.0 * ya - 5.0 * yb + 4.0 * yc - yd + t * (3.0 * (yb - yc) + yd - ya)))
-    )
+    return float(yb + 0.5 * t * (yc - ya + t * (2.0 * ya - 5.0 * yb + 4.0 * yc - yd + t * (3.0 * (yb - yc) + yd - ya))))
 
 
 def load(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]

@@ -1,0 +1,249 @@
+"""How small an effect would still have been seen in these data: detection limits where nothing is missing.
+
+An effect is put into the final model at a size, the model's own parameters take what they can of it, and the rest is
+added to the residual that is there. The limit is the size at which a figure of a log passes the bound that the verdict
+holds it against: from there on the data would not have been called complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from fiohost.advice.limit import Limit
+from fiohost.advice.windowed import Windowed
+from fiohost.discover.metrics import WIDE, Judgement, weigh
+from fiohost.discover.screen import Trial, candidates, span_of
+from fiohost.discover.stage import Stage
+from fiohost.discover.workers import each
+from fiohost.estimation.fit import fit
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.effect import Effect, Parameter, Value
+from fiohost.motor.model import Model
+
+NOT_A_STEP = 1e12
+PHASES_DEG = (0.0, 60.0, 120.0)
+# Orders that gears, windings and counting discs of small gear motors have.
+ORDERS = (1.0, 4.0, 12.0, 48.0)
+# Steps in size: so many, until so close, at most by such a factor, and by this one where nothing shows yet.
+ROUNDS, CLOSE, FARTHEST, GROWTH = 16, 0.1, 10.0, 1.7
+FACTORS = (1e-4, 1e4)
+HALVINGS = 14
+IMITATED = 1e-3
+MOST_SHAPES = 3
+
+
+class _Log:
+    """One record's residuals and the bounds of its figures, to which a signature (n) is added."""
+
+    def __init__(self, record: Record, judgement: Judgement, bounds: dict[str, float], lag_s: float) -> None:
+        self.record, self.bounds = record, bounds
+        self.free, self.windows = judgement.free_residual, judgement.window_residual
+        self.first = record.first_second()
+        self.windowed = Windowed(record, lag_s)
+
+    def prepared(self, signature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A signature as it shows in the free run, begun with the first second, and in windows."""
+        free = signature - signature[: self.first].mean() if self.record.kind == ANGLE else signature
+        return free, self.windowed.clean(free)
+
+    def over(self, free: np.ndarray, windows: np.ndarray, factor: float) -> tuple[float, str]:
+        """The largest figure over its bound, and which it is, with ``factor`` times a prepared signature added."""
+        e, w, quantum = self.free + factor * free, self.windows + factor * windows, self.record.quantum
+        edges = self.record.windows[:-1]
+        figures: dict[str, Callable[[], float]] = {
+            "free_run_rms": lambda: weigh(self.record, e).rms,
+            "window_rms": lambda: float(np.sqrt(np.mean(w**2))),
+            "bin_violation_pct": lambda: weigh(self.record, e).outside_pct or 0.0,
+            "wide_windows_pct": lambda: float(
+                100.0 * np.mean(np.maximum.reduceat(w, edges) - np.minimum.reduceat(w, edges) > WIDE * quantum)
+            ),
+        }
+        return max(((figures[f]() / bound, f) for f, bound in self.bounds.items() if bound > 0), default=(0.0, ""))
+
+
+class Limits:
+    """Detection limits around a final stage, over its training records."""
+
+    def __init__(self, stage: Stage, records: Sequence[Record]) -> None:
+        self.model, self.records = stage.fit.model, records
+        here = fit(self.model, records, max_iterations=1, tolerance=NOT_A_STEP)
+        self.starts, self.nuisances = here.starts, [np.linalg.qr(n)[0] for n in here.nuisances]
+        columns = np.vstack(here.jacobians)
+        norms = np.linalg.norm(columns, axis=0)
+        self.own = np.linalg.qr(columns[:, norms > 0] / norms[norms > 0])[0]
+        self.edges = np.cumsum([0, *(len(r) for r in records)])
+        lag_s = self.model.number("linear.tau_s")
+        self.logs = [
+            _Log(r, j, {e.figure: e.allowed for e in stage.excesses if e.record == r.name}, lag_s)
+            for r, j in zip(records, stage.judgements, strict=True)
+        ]
+
+    def outputs(self, model: Model) -> list[np.ndarray]:
+        flat = Flat.of(model)
+        return [free_output(r, flat, s) for r, s in zip(self.records, self.starts, strict=True)]
+
+    def signature(self, model: Model, base: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float]:
+        """What is left (n each) of a model's difference from ``base`` once the own parameters have taken theirs, and
+        the share of it that is left.
+
+        The base of an effect is that effect at no size, so that its finer steps in time do not count.
+        """
+        change = [r.weights * (y - b) for r, y, b in zip(self.records, self.outputs(model), base, strict=True)]
+        whole = np.concatenate([c - q @ (q.T @ c) for c, q in zip(change, self.nuisances, strict=True)])
+        left = whole - self.own @ (self.own.T @ whole)
+        raw = float(np.sqrt(sum(float(c @ c) for c in change)))
+        parts = [left[a:b] / r.weights for r, a, b in zip(self.records, self.edges[:-1], self.edges[1:], strict=True)]
+        return parts, float(np.linalg.norm(left)) / raw if raw > 0 else 0.0
+
+    def over(self, parts: Sequence[np.ndarray]) -> Callable[[float], tuple[float, str, str]]:
+        """Of a factor on a signature: the largest figure over its bound, its log and its name."""
+        ready = [log.prepared(p) for log, p in zip(self.logs, parts, strict=True)]
+
+        def largest(factor: float) -> tuple[float, str, str]:
+            found = []
+            for log, (free, windows) in zip(self.logs, ready, strict=True):
+                ratio, figure = log.over(free, windows, factor)
+                found.append((ratio, log.record.name, figure))
+            return max(found)
+
+        return largest
+
+    def factor(self, parts: Sequence[np.ndarray]) -> tuple[float, str, str]:
+        """The smallest factor by which a signature is seen, infinite where none is; with log and figure."""
+        largest = self.over(parts)
+        low, high = np.log(FACTORS)
+        ratio, log, figure = largest(float(np.exp(high)))
+        if not ratio > 1.0:
+            return np.inf, "", ""
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            seen = largest(float(np.exp(middle)))
+            if seen[0] > 1.0:
+                high, (_, log, figure) = middle, seen
+            else:
+                low = middle
+        return float(np.exp(high)), log, figure
+
+    def of(self, effect: Effect) -> list[Limit]:
+        """The limits of one effect: one for each of its choices and orders."""
+        trials = [dict(t) for t in (effect.trials_for(span_of(self.records)) if effect.trials_for else effect.trials)]
+        sizes = [p for p in effect.parameters if p.neutral is not None and p.is_smooth]
+        if sizes:
+            return [self._typical(effect, sizes, group) for group in _groups(effect, trials, sizes)]
+        return [self._there_or_not(effect, group) for group in _groups(effect, trials, sizes)]
+
+    def _there_or_not(self, effect: Effect, trials: Sequence[Trial]) -> Limit:
+        """An effect without a size: the finest of a whole number that is seen, else how many of its cases are."""
+        first = effect.parameters[0]
+        seen = []
+        base = self.outputs(self.model)
+        for trial in trials:
+            parts, _ = self.signature(self.model.with_effect(effect.name, trial), base)
+            ratio, log, figure = self.over(parts)(1.0)
+            if ratio > 1.0:
+                seen.append((ratio, trial, log, figure))
+        if not seen or not first.whole:
+            reason = f"{len(seen)} of the {len(trials)} cases tried would be seen"
+            return Limit(effect.name, first.name, first.unit, None, None, {}, reason=reason)
+        _, trial, log, figure = min(seen, key=lambda s: s[0])
+        rest = {k: v for k, v in trial.items() if k != first.name}
+        return Limit(effect.name, first.name, first.unit, float(trial[first.name]), None, rest, log, figure)
+
+    def _typical(self, effect: Effect, sizes: Sequence[Parameter], trials: Sequence[Trial]) -> Limit:
+        """The worst over phases, and the middle one over everything else that is not known."""
+        by_shape: dict[tuple[Value, ...], list[Trial]] = {}
+        apart = [*(p.name for p in effect.parameters if p.period is not None), *(p.name for p in sizes)]
+        for trial in trials:
+            shape = tuple(v for k, v in trial.items() if k not in apart)
+            by_shape.setdefault(shape, []).append(trial)
+        picked = np.unique(np.linspace(0, len(by_shape) - 1, MOST_SHAPES).round().astype(int))
+
+        def distance(limit: Limit) -> float:
+            return np.inf if limit.value is None else abs(limit.value - float(sizes[0].neutral or 0.0))
+
+        of_shape = [[self.sized(effect, sizes, t) for t in list(by_shape.values())[i]] for i in picked]
+        worst = sorted((max(found, key=distance) for found in of_shape), key=distance)
+        return worst[(len(worst) - 1) // 2]
+
+    def sized(self, effect: Effect, sizes: Sequence[Parameter], trial: Trial) -> Limit:
+        """The smallest visible size of an effect whose other parameters are those of a trial.
+
+        Several sizes grow together. Sizes in multiples of the trial's are narrowed down between the largest that is
+        not seen and the smallest that is, by the factor that the signature of the last one lacks.
+        """
+        first = sizes[0]
+        model = self.model.with_effect(effect.name, trial)
+        none = {p.name: float(p.neutral or 0.0) for p in sizes}
+        full = {p.name: float(trial[p.name]) - none[p.name] for p in sizes}
+        most = min(abs(((p.upper if full[p.name] > 0 else p.lower) - none[p.name]) / full[p.name]) for p in sizes)
+        base = self.outputs(self.with_sizes(model, effect, none))
+
+        def at(reach: float) -> Trial:
+            grown = {p.name: none[p.name] + reach * full[p.name] for p in sizes}
+            return {p.name: float(np.clip(grown[p.name], p.lower, p.upper)) for p in sizes}
+
+        def limit(value: float | None, log: str = "", figure: str = "", reason: str | None = None) -> Limit:
+            rest = {k: v for k, v in trial.items() if k != first.name}
+            if value is not None:
+                rest |= {k: v for k, v in at(value).items() if k != first.name}
+            shown = None if value is None else float(at(value)[first.name])
+            return Limit(effect.name, first.name, first.unit, shown, none[first.name], rest, log, figure, reason)
+
+        reach, unseen, seen, left, log, figure = 1.0, 0.0, np.inf, 0.0, "", ""
+        for _ in range(ROUNDS):
+            parts, left = self.signature(self.with_sizes(model, effect, at(reach)), base)
+            factor, where, what = self.factor(parts) if left > 0 else (np.inf, "", "")
+            if np.isfinite(factor):
+                log, figure = where, what
+            unseen, seen = (max(unseen, reach), seen) if factor > 1.0 else (unseen, reach)
+            if abs(np.log(factor)) < CLOSE and reach * factor <= most:
+                return limit(reach * factor, log, figure)
+            if seen < unseen * (1.0 + CLOSE):
+                break
+            if reach >= most and factor > 1.0:
+                break
+            wanted = reach * (min(max(factor, 1.0 / FARTHEST), FARTHEST) if np.isfinite(factor) else GROWTH)
+            if not unseen < wanted < seen:
+                wanted = float(np.sqrt(max(unseen, 1e-3 * seen) * seen))
+            reach = min(wanted, most)
+        if np.isfinite(seen):
+            return limit(seen, log, figure)
+        if left == 0.0:
+            return limit(None, reason="it changes nothing in these logs")
+        imitated = left < IMITATED
+        return limit(
+            None, reason="the model's own parameters imitate it" if imitated else "even its largest size is hidden"
+        )
+
+    @staticmethod
+    def with_sizes(model: Model, effect: Effect, sizes: Mapping[str, Value]) -> Model:
+        return model.with_values({f"{effect.name}.{name}": value for name, value in sizes.items()})
+
+
+def _groups(effect: Effect, trials: Sequence[Trial], sizes: Sequence[Parameter]) -> list[list[Trial]]:
+    """Trials that differ in neither choice nor order, every phase with each, those equal but for size once."""
+    phase = next((p.name for p in effect.parameters if p.period is not None), None)
+    sized = [p.name for p in sizes]
+    groups: dict[tuple[Value, ...], list[Trial]] = {}
+    known: set[tuple[Value, ...]] = set()
+    for trial in trials:
+        if "order" in trial and trial["order"] not in ORDERS:
+            continue
+        for turned in PHASES_DEG if phase else (0.0,):
+            full = {**trial, phase: turned} if phase else trial
+            key = tuple(v for k, v in full.items() if k not in sized)
+            if key in known:
+                continue
+            known.add(key)
+            kind = tuple(full[p.name] for p in effect.parameters if p.is_choice or p.name == "order")
+            groups.setdefault(kind, []).append(full)
+    return list(groups.values())
+
+
+def detection_limits(stage: Stage, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Limit]:
+    """What size of each effect of the library these records would have shown beside the final model."""
+    limits = Limits(stage, records)
+    return [limit for found in each(limits.of, candidates(limits.model, records, library)) for limit in found]

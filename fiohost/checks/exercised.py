@@ -1,0 +1,179 @@
+"""What logs went through: speeds, reversals, starts, turns, levels and the band of the movement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import welch
+
+from fiohost.checks.counts import quantum_of
+from fiohost.checks.said import Said
+from fiohost.estimation.record import ANGLE, Record
+
+# A shaft stands where its reading stays for so long, and has moved where it left by more counts than one flicker.
+STANDS_S, STANDS_SAMPLES = 0.1, 5
+MOVED_COUNTS = 2.0
+SPEED_SPAN_S = 0.02
+LEVEL_PCT = 10.0
+ABOVE_COUNTS, MOST_LINES, SEGMENT_S = 2.0, 0.8, 2.0
+SLOW_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Exercised:
+    """What a set of logs went through; speeds in the output's unit per second, shares of no unit.
+
+    ``useful_hz`` is the highest frequency at which the movement stands above the counts, None where it cannot be told.
+    ``turns`` are whole revolutions covered between the ends of travel, None where no angle is measured.
+    """
+
+    logs: int
+    seconds: float
+    rotary: bool
+    angle: bool
+    speed_min: float
+    speed_max: float
+    reversals: int
+    starts: int
+    standstill_s: float
+    slow_s: float
+    braking_s: float
+    turns: float | None
+    useful_hz: float | None
+    levels: int
+    distinct_duties: int
+    duty_max_pct: float
+    largest_step_pct: float
+    both_directions: bool
+    closed_loop_only: bool
+    saturated_pct: float
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """One log as movement: ``angle`` (n) from the reading or its sum, ``speed`` (n), the ``duty`` (n) that acts."""
+
+    times_s: np.ndarray
+    angle: np.ndarray
+    speed: np.ndarray
+    duty: np.ndarray
+    quantum: float
+    sample_s: float
+    standing: np.ndarray
+
+    @property
+    def moving(self) -> np.ndarray:
+        return ~self.standing
+
+
+def _runs(same: np.ndarray) -> list[tuple[int, int]]:
+    """First and last-plus-one index of each run of True."""
+    edges = np.diff(np.concatenate(([0], same.astype(np.int8), [0])))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+
+
+def _standing(record: Record, angle: np.ndarray, quantum: float) -> np.ndarray:
+    """Samples (n, boolean) at which the shaft stands: the reading stays within a count for some time."""
+    least = max(STANDS_SAMPLES, round(STANDS_S / record.sample_time_s))
+    still = np.abs(np.diff(angle, prepend=angle[0])) < 0.5 * quantum
+    standing = np.zeros(len(angle), dtype=bool)
+    for a, b in _runs(still):
+        standing[a:b] = b - a >= least
+    return standing
+
+
+def _motion(record: Record) -> _Motion:
+    ex, quantum = record.excitation, quantum_of(record)
+    span = max(1, round(SPEED_SPAN_S / record.sample_time_s))
+    angle = record.y if record.kind == ANGLE else np.cumsum(record.y) * record.sample_time_s
+    if record.kind == ANGLE:
+        kernel = np.concatenate((np.full(span, angle[0]), angle, np.full(span, angle[-1])))
+        gap = np.concatenate((np.full(span, ex.times_s[0]), ex.times_s, np.full(span, ex.times_s[-1])))
+        speed = (kernel[2 * span :] - kernel[: -2 * span]) / np.maximum(gap[2 * span :] - gap[: -2 * span], 1e-12)
+        standing = _standing(record, angle, quantum)
+    else:
+        speed, standing = record.y, np.abs(record.y) < 0.5 * max(quantum, 1e-12)
+        quantum *= record.sample_time_s
+    acting = ex.duties_pct[np.searchsorted(ex.act_times_s, ex.times_s, side="right")]
+    return _Motion(ex.times_s, angle, speed, acting, quantum, record.sample_time_s, standing)
+
+
+def _reversals(motion: _Motion) -> int:
+    """Turning points of the angle, each followed by more movement than a reading flickers."""
+    threshold = MOVED_COUNTS * motion.quantum
+    counted, way, extreme = 0, 0, float(motion.angle[0])
+    for value in motion.angle[np.concatenate(([True], np.diff(motion.angle) != 0))].tolist():
+        if (way >= 0 and value > extreme) or (way <= 0 and value < extreme):
+            if way == 0 and abs(value - extreme) <= threshold:
+                continue
+            way, extreme = (1 if value > extreme else -1), value
+        elif abs(value - extreme) > threshold:
+            counted, way, extreme = counted + 1, -way, value
+    return counted
+
+
+def _starts(motion: _Motion) -> int:
+    """Times that the shaft leaves a standstill."""
+    ahead = max(STANDS_SAMPLES, round(STANDS_S / motion.sample_s))
+    found = 0
+    for _, b in _runs(motion.standing):
+        left = motion.angle[b : b + ahead] - motion.angle[b - 1]
+        found += bool(np.max(np.abs(left), initial=0.0) > MOVED_COUNTS * motion.quantum)
+    return found
+
+
+def _useful_hz(motions: Sequence[_Motion]) -> float | None:
+    """Highest frequency up to which the movement stands above the error of the counts, in the log that goes highest."""
+    found = []
+    for m in motions:
+        samples = round(SEGMENT_S / m.sample_s)
+        if len(m.angle) < 2 * samples or m.quantum <= 0:
+            continue
+        # Second differences: steps of speed are flat in them, and the counts' error rises as the fourth power.
+        hz, power = welch(np.diff(m.angle / m.quantum, n=2), 1.0 / m.sample_s, nperseg=samples)
+        counts = (2.0 * m.sample_s / 12.0) * (2.0 * np.sin(np.pi * hz * m.sample_s)) ** 4
+        above = np.cumsum(power[1:] > ABOVE_COUNTS * counts[1:]) / np.arange(1, len(hz))
+        good = np.flatnonzero(above > MOST_LINES)
+        found.append(float(hz[1:][good[-1]]) if good.size else 0.0)
+    return max(found) if found else None
+
+
+def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
+    motions = [_motion(r) for r in records]
+    speed = np.concatenate([m.speed for m in motions])
+    duty = np.concatenate([m.duty for m in motions])
+    moving = np.concatenate([m.moving for m in motions])
+    weight = np.concatenate([np.full(len(m.speed), m.sample_s) for m in motions])
+    top = float(np.max(np.abs(speed), initial=0.0))
+    floor = float(np.median([MOVED_COUNTS * m.quantum / (2.0 * SPEED_SPAN_S) for m in motions]))
+    runs = moving & (np.abs(speed) > floor)
+    against = runs & (speed * duty <= 0.0)
+    held = np.abs(duty[np.abs(duty) > 0])
+    bins, sizes = np.unique(np.floor(held / LEVEL_PCT), return_counts=True)
+    all_angle = all(r.kind == ANGLE for r in records)
+    turning = all_angle and all(r.rotary for r in records)
+    reference = [s.closed_loop for s in said]
+    return Exercised(
+        logs=len(records),
+        seconds=float(sum(r.seconds for r in records)),
+        rotary=all(r.rotary for r in records),
+        angle=all_angle,
+        speed_min=float(speed.min()),
+        speed_max=float(speed.max()),
+        reversals=sum(_reversals(m) for m in motions),
+        starts=sum(_starts(m) for m in motions),
+        standstill_s=float(weight[~moving].sum()),
+        slow_s=float(weight[moving & (np.abs(speed) < SLOW_SHARE * top)].sum()),
+        braking_s=float(weight[against].sum()),
+        turns=max(float(np.ptp(r.y)) for r in records) / 360.0 if turning else None,
+        useful_hz=_useful_hz(motions),
+        levels=int(np.sum(sizes >= max(STANDS_SAMPLES, 0.005 * len(duty)))) if len(bins) else 0,
+        distinct_duties=len(np.unique(np.abs(duty))),
+        duty_max_pct=float(np.max(np.abs(duty), initial=0.0)),
+        largest_step_pct=max(float(np.max(np.abs(np.diff(r.excitation.duties_pct)), initial=0.0)) for r in records),
+        both_directions=bool(np.any(speed[runs] > 0) and np.any(speed[runs] < 0)),
+        closed_loop_only=bool(reference) and all(reference),
+        saturated_pct=float(100.0 * np.mean(np.abs(duty) >= 100.0 - 1e-6)),
+    )

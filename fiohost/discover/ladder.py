@@ -1,0 +1,129 @@
+"""How long the horizon is: whole runs where the bench repeats itself to the count, windows where not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
+from fiohost.discover.candidate import Progress
+from fiohost.discover.objective import WholeRuns, Windows
+from fiohost.discover.search import Node, Search
+from fiohost.discover.settings import SETTINGS
+from fiohost.discover.stage import Stage, judged
+from fiohost.discover.step import Found
+from fiohost.discover.whitened import drawing
+from fiohost.estimation.fit import fit
+from fiohost.estimation.record import Record
+from fiohost.motor.effect import effects
+from fiohost.motor.model import Model
+
+# Windows have a stream of draws of their own, so that no other draw depends on whether they are needed.
+NOISE_SEED = 1
+
+
+def searched(
+    train: Sequence[Record],
+    model: Model,
+    library: Sequence[str] | None,
+    from_file: bool,
+    rng: np.random.Generator,
+    say: Progress,
+    hidden: Mapping[str, str],
+    tolerance_pct: float = 0.0,
+) -> Found:
+    """What a declared model lacks: by whole runs; where these cannot be followed, by windows under the noise that is
+    left, without what is ``hidden`` from the logs; by whole runs again from there where they come near.
+
+    With few experiments windows come first: their whole runs have too many local minima. What is left below
+    ``tolerance_pct`` of the motion is not asked about.
+    """
+    runs = WholeRuns(train)
+    whole = Search(runs, rng, library, say, tolerance_pct=tolerance_pct)
+    root = whole.declared(model, from_file)
+    if whole.explains(root):
+        return whole.found(root, root)
+    exact = not (any(r.broken for r in train) or noisy_sensor(train))
+    if exact and not runs.few:
+        best = whole.run(root)
+        if whole.explains(best):
+            return whole.found(root, best)
+        if timed := _by_one_clock(whole, model, from_file):
+            return timed
+    say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
+    windows = Windows(train)
+    shown = [n for n in (effects() if library is None else library) if n not in hidden]
+    by_windows = Search(windows, np.random.default_rng(NOISE_SEED), shown, say, tolerance_pct=tolerance_pct)
+    begun = by_windows.declared(model, from_file)
+    seen = by_windows.run(begun)
+    if exact:
+        near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
+        again = Node(whole.finished(runs.settled(near)), seen.added)
+        if whole.stage(again).fit.rms <= SETTINGS.lost * whole.stage(again).floor_rms:
+            again = again if whole.explains(again) else whole.run(again)
+            if whole.explains(again):
+                return whole.found(root, again)
+    found = by_windows.found(begun, seen)
+    found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
+    if exact and not (found.white and found.final.follows):
+        far = Search(runs, rng, library, say, anew=True, tolerance_pct=tolerance_pct)
+        best = far.run(root)
+        if far.explains(best):
+            return far.found(root, best)
+    return found
+
+
+def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) -> Found:
+    """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
+    where all that is left is what they are made of.
+    """
+
+    def plain(stage: Stage) -> Stage:
+        fitted = fit(stage.fit.model, windows.bare, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+        train = drawing(windows.train, found.noise) if found.noise else windows.train
+        return judged(fitted, windows.bare, train, rng)
+
+    stages, steps = list(found.stages), list(found.steps)
+    if steps or not found.white:
+        stages[0] = plain(stages[0])
+    if steps and not found.white:
+        stages[-1] = plain(stages[-1])
+        steps[-1] = replace(steps[-1], stage=stages[-1])
+    return replace(found, stages=tuple(stages), steps=tuple(steps))
+
+
+def noisy_sensor(records: Sequence[Record]) -> bool:
+    """Whether readings of a moving shaft are rougher than any counts make them; of a sensor without counts nothing else
+    is known.
+    """
+    if max(r.quantum for r in records) <= 0.0:
+        return True
+    found = [roughness(data) for data in map(counts_of, records) if data is not None]
+    rough = np.concatenate([[], *(r[np.abs(speed) > AT_SPEED] for r, speed in found)])
+    return len(rough) >= LEAST_MOVING and spread(rough) > ROUGHEST_COUNTS
+
+
+def in_sequence(records: Sequence[Record]) -> list[Record]:
+    """The records as if each had been begun where the one before it ended."""
+    began = np.cumsum([0.0, *(r.seconds for r in records)])
+    return [
+        replace(r, excitation=replace(r.excitation, clock_s=float(t))) for r, t in zip(records, began[:-1], strict=True)
+    ]
+
+
+def _by_one_clock(whole: Search, model: Model, from_file: bool) -> Found | None:
+    """What a search over the records in sequence finds of effects that hang on the bench's own time, where none of
+    several says when it was begun; None if nothing that explains them all.
+    """
+    train = whole.objective.train
+    names = [n for n in (effects() if whole.library is None else whole.library) if effects()[n].clocked]
+    if len(train) < 2 or any(r.excitation.clock_s != 0.0 for r in train) or not names:
+        return None
+    whole.say("the logs do not say when they were begun: as if taken one after the other")
+    runs = WholeRuns(in_sequence(train))
+    search = Search(runs, whole.rng, names, whole.say)
+    root = search.declared(model, from_file)
+    best = search.run(root)
+    return replace(search.found(root, best), one_clock=True) if best.added and search.explains(best) else None

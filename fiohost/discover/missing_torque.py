@@ -1,0 +1,250 @@
+"""What the residual follows: the missing torque over time, and the variables that explain it.
+
+A deviation of the angle obeys the linear part of the model driven by the torque that the model lacks, so a Kalman
+smoother with that torque as a random walk recovers it from the residual (Kristensen and Madsen's grey box; Rauch,
+Tung, Striebel 1965). It is band-limited by the counts: good for loads, gravity, drag and drift, blind to delays and
+play.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.discover.metrics import Judgement
+from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.compiled import compiled
+from fiohost.motor.model import Model
+
+SHIFTS = 200
+BINS = 16
+
+
+@compiled
+def _smooth(e, dt, gain, tau, noise, walk, d, work):  # type: ignore[no-untyped-def]
+    """Forward filter and backward smoother of (angle, speed, torque); ``work`` is (n, 24), ``d`` (n, 2) torque,
+    variance.
+    """
+    n = e.shape[0]
+    x0, x1, x2 = e[0], 0.0, 0.0
+    p00, p01, p02, p11, p12, p22 = noise * noise, 0.0, 0.0, (100.0 * gain) ** 2 * 1e-2, 0.0, 25.0
+    a = np.exp(-dt / tau)
+    f01, f02 = tau * (1.0 - a), gain * (dt - tau * (1.0 - a))
+    f11, f12 = a, gain * (1.0 - a)
+    for k in range(n):
+        if k > 0:
+            # Predict: x = F x, P = F P F' + Q with the walk on the torque.
+            y0, y1 = x0 + f01 * x1 + f02 * x2, f11 * x1 + f12 * x2
+            g00, g01, g02 = p00 + f01 * p01 + f02 * p02, p01 + f01 * p11 + f02 * p12, p02 + f01 * p12 + f02 * p22
+            g11, g12 = f11 * p11 + f12 * p12, f11 * p12 + f12 * p22
+            q00 = g00 + g01 * f01 + g02 * f02
+            q01 = g01 * f11 + g02 * f12
+            q11 = g11 * f11 + g12 * f12
+            x0, x1 = y0, y1
+            p00, p01, p02, p11, p12, p22 = q00, q01, g02, q11, g12, p22 + walk * walk * dt
+        work[k, 0], work[k, 1], work[k, 2] = x0, x1, x2
+        work[k, 3], work[k, 4], work[k, 5], work[k, 6], work[k, 7], work[k, 8] = p00, p01, p02, p11, p12, p22
+        s = p00 + noise * noise
+        k0, k1, k2 = p00 / s, p01 / s, p02 / s
+        r = e[k] - x0
+        x0, x1, x2 = x0 + k0 * r, x1 + k1 * r, x2 + k2 * r
+        p22 -= k2 * p02
+        p12 -= k1 * p02
+        p11 -= k1 * p01
+        p02 -= k0 * p02
+        p01 -= k0 * p01
+        p00 -= k0 * p00
+        work[k, 9], work[k, 10], work[k, 11] = x0, x1, x2
+        work[k, 12], work[k, 13], work[k, 14], work[k, 15], work[k, 16], work[k, 17] = p00, p01, p02, p11, p12, p22
+    # Bryson-Frazier form backwards: adjoint vector l and matrix L, no inverse of P needed.
+    l0, l1, l2 = 0.0, 0.0, 0.0
+    m00, m01, m02, m11, m12, m22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(n - 1, -1, -1):
+        p00, p01, p02, p11, p12, p22 = work[k, 3], work[k, 4], work[k, 5], work[k, 6], work[k, 7], work[k, 8]
+        s = p00 + noise * noise
+        k0, k1, k2 = p00 / s, p01 / s, p02 / s
+        r = e[k] - work[k, 0]
+        # l <- -H' r / s + (I - K H)' l ; L <- H'H/s + (I - KH)' L (I - KH)
+        c0 = l0 - (k0 * l0 + k1 * l1 + k2 * l2)
+        v0 = m00 * k0 + m01 * k1 + m02 * k2
+        v1 = m01 * k0 + m11 * k1 + m12 * k2
+        v2 = m02 * k0 + m12 * k1 + m22 * k2
+        kk = k0 * v0 + k1 * v1 + k2 * v2
+        l0 = c0 - r / s
+        m00 = m00 - 2.0 * v0 + kk + 1.0 / s
+        m01 = m01 - v1
+        m02 = m02 - v2
+        d[k, 0] = work[k, 2] - (p02 * l0 + p12 * l1 + p22 * l2)
+        u0 = m00 * p02 + m01 * p12 + m02 * p22
+        u1 = m01 * p02 + m11 * p12 + m12 * p22
+        u2 = m02 * p02 + m12 * p12 + m22 * p22
+        d[k, 1] = max(p22 - (p02 * u0 + p12 * u1 + p22 * u2), 0.0)
+        # Back through the prediction: l <- F' l, L <- F' L F.
+        n1, n2 = f01 * l0 + f11 * l1, f02 * l0 + f12 * l1 + l2
+        w01, w02 = m00 * f01 + m01 * f11, m00 * f02 + m01 * f12 + m02
+        w11, w12 = m01 * f01 + m11 * f11, m01 * f02 + m11 * f12 + m12
+        w22 = m02 * f02 + m12 * f12 + m22
+        z11 = f01 * w01 + f11 * w11
+        z12 = f01 * w02 + f11 * w12
+        z22 = f02 * w02 + f12 * w12 + w22
+        l1, l2 = n1, n2
+        m01, m02, m11, m12, m22 = w01, w02, z11, z12, z22
+
+
+def missing_torque(record: Record, model: Model, residual: np.ndarray, walk_pct: float = 20.0) -> np.ndarray:
+    """Torque (n) in percent of duty that the model lacks, smoothed, from the free-run residual (n) of a record.
+
+    ``walk_pct`` is how far the torque may wander in a second: the band of the smoother. Speeds are summed up to angles.
+    """
+    noise = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
+    if record.kind != ANGLE:
+        residual = np.cumsum(residual * np.gradient(record.excitation.times_s))
+        noise *= record.sample_time_s
+    d = np.zeros((len(residual), 2))
+    _smooth(
+        np.ascontiguousarray(residual),
+        record.sample_time_s,
+        model.number("linear.gain_deg_s_per_pct"),
+        model.number("linear.tau_s"),
+        noise,
+        walk_pct,
+        d,
+        np.zeros((len(residual), 18)),
+    )
+    return d[:, 0]
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How much of the missing torque one variable explains, beside what it would explain by chance."""
+
+    variable: str
+    r2: float
+    chance_r2: float
+    centres: np.ndarray
+    means: np.ndarray
+
+    @property
+    def significant(self) -> bool:
+        return self.r2 > self.chance_r2 and self.r2 > 0.02
+
+    def to_json(self) -> dict[str, float]:
+        return {"r2": self.r2, "chance_r2": self.chance_r2}
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """The missing torque over a variable: ``points`` (m, 3) are its value, the torque in percent of duty that the
+    declared model lacks there, and what the final one still lacks; ``follows_pct`` is the share of the declared model's
+    missing torque that the curve takes, ``by_chance_pct`` what any would.
+    """
+
+    variable: str
+    points: np.ndarray
+    follows_pct: float
+    by_chance_pct: float
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "variable": self.variable,
+            "kind": "missing_torque",
+            "unit": "% of duty",
+            "follows_pct": self.follows_pct,
+            "by_chance_pct": self.by_chance_pct,
+            "points": self.points.tolist(),
+        }
+
+
+def bench_angle(record: Record, judgement: Judgement) -> np.ndarray | None:
+    """The simulated angle (n) on the bench's turn, 0 to 360; None where the record's zero on it is not known."""
+    if not record.rotary or record.kind != ANGLE or (record.own_zero and judgement.start.zero is None):
+        return None
+    return np.asarray(np.mod(judgement.simulated + (judgement.start.zero or 0.0), 360.0))
+
+
+def _variables(record: Record, judgement: Judgement) -> dict[str, np.ndarray]:
+    """What the missing torque may follow, each (n); an angle whose zero is unknown is the log's own."""
+    simulated = judgement.simulated
+    times = record.excitation.times_s
+    duty = record.excitation.duties_pct[:-1]
+    speed = np.gradient(simulated, times) if record.kind == ANGLE else simulated
+    found = {"speed": speed, "speed_sign": np.sign(speed), "duty": duty, "time": times}
+    if record.rotary and record.kind == ANGLE:
+        known = bench_angle(record, judgement)
+        found["angle"] = np.mod(simulated, 360.0) if known is None else known
+    return found
+
+
+def _bins(values: np.ndarray, name: str) -> np.ndarray:
+    if name == "speed_sign":
+        return np.asarray(values.astype(int) + 1)
+    edges = (
+        np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1]) if name != "angle" else np.arange(1, BINS) * 360 / BINS
+    )
+    return np.asarray(np.digitize(values, np.unique(edges)))
+
+
+def _explained(torque: np.ndarray, bins: np.ndarray, weight: float) -> float:
+    count = np.bincount(bins, minlength=BINS + 1)
+    sums = np.bincount(bins, weights=torque, minlength=BINS + 1)
+    return float(np.sum(sums[count > 0] ** 2 / count[count > 0]) / weight) if weight > 0 else 0.0
+
+
+def dependences(
+    records: Sequence[Record], model: Model, judgements: Sequence[Judgement], rng: np.random.Generator
+) -> list[Dependence]:
+    """Which variables the missing torque follows over all records, strongest first.
+
+    ``r2`` is the share of the torque's variance about zero explained by its mean in bins of the variable; the chance
+    level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour. Every log
+    whose zero of the angle is unknown has bins of the angle for itself; the curve is that of the bench's zero.
+    """
+    parts = [
+        (missing_torque(r, model, j.free_residual), _variables(r, j)) for r, j in zip(records, judgements, strict=True)
+    ]
+    torque = np.concatenate([t for t, _ in parts])
+    weight = float(torque @ torque)
+    lengths = np.cumsum([0] + [len(t) for t, _ in parts])
+    alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in zip(records, judgements, strict=True)])
+    own_bins = np.repeat(BINS * alone * np.diff(alone, prepend=0), np.diff(lengths))
+    found = []
+    for name in ("angle", "speed", "speed_sign", "duty", "time"):
+        if any(name not in v for _, v in parts):
+            continue
+        values = np.concatenate([v[name] for _, v in parts])
+        bins = _bins(values, name) + (own_bins if name == "angle" else 0)
+        r2 = _explained(torque, bins, weight)
+        chance = []
+        for _ in range(SHIFTS):
+            shifted = np.concatenate(
+                [
+                    np.roll(torque[a:b], rng.integers(b - a)) * rng.choice((-1.0, 1.0))
+                    for a, b in zip(lengths[:-1], lengths[1:], strict=True)
+                ]
+            )
+            chance.append(_explained(shifted, bins, weight))
+        shown = range(min(bins.max() + 1, BINS))
+        means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
+        centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
+        found.append(Dependence(name, r2, float(np.quantile(chance, 0.99)), centres, means))
+    return sorted(found, key=lambda d: d.r2 - d.chance_r2, reverse=True)
+
+
+def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:
+    """What declared (``before``) and final model (``after``) lack, over every variable that the first one's follows."""
+    left = {d.variable: d for d in after}
+    found = []
+    for d in before:
+        if not d.significant or d.variable not in left or d.variable == "speed_sign":
+            continue
+        other = left[d.variable]
+        there = np.isfinite(d.centres) & np.isfinite(d.means)
+        seen = np.isfinite(other.centres) & np.isfinite(other.means)
+        rest = (
+            np.interp(d.centres[there], other.centres[seen], other.means[seen]) if seen.any() else 0.0 * d.means[there]
+        )
+        points = np.column_stack((d.centres[there], d.means[there], rest))
+        found.append(ForceCurve(d.variable, points, 100.0 * d.r2, 100.0 * d.chance_r2))
+    return found

@@ -1,0 +1,142 @@
+"""The score: deviance on left-out blocks, compared pair by pair with its standard error, and what speaks against a fit.
+
+Blocks are left out by whole experiments (repeats of one together) or pieces of records; held-out records never come
+here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fiohost.discover.settings import SETTINGS, SearchSettings
+from fiohost.estimation.fit import Fit, unchanged
+from fiohost.estimation.intervals import Estimate, covariance, estimates
+from fiohost.estimation.record import Record
+from fiohost.motor.effect import Parameter, Value, effect
+from fiohost.motor.model import Model
+
+STEP_SHARES = (1.0, 0.5, 0.25)
+KNOWN_ANYWAY = 0.02
+# Of a parameter that the others know by no more than this share of what one group does, they know nothing.
+ELSEWHERE = 1e-3
+SIGMAS_FROM_NEUTRAL = 3.0
+BLOCK_S = 2.0
+
+
+def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) -> Model:
+    """The model as it would be fitted without a group of its records: one Newton step from the whole fit, halved
+    while it does not pay on the rest.
+
+    A parameter of which the rest says next to nothing stays where the whole fit has it.
+    """
+    if not fitted.names:
+        return fitted.model
+    rest = [i for i in range(len(records)) if i not in group]
+    hessian = sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in rest)
+    gradient = sum(fitted.jacobians[i].T @ fitted.residuals[i] for i in rest)
+    whole = hessian + sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in group)
+    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    held = hessian / np.outer(scale, scale) + KNOWN_ANYWAY * np.eye(len(scale))
+    step = np.linalg.solve(held, gradient / scale) / scale
+    before = sum(float(fitted.residuals[i] @ fitted.residuals[i]) for i in rest)
+    kept, starts = [records[i] for i in rest], [fitted.starts[i] for i in rest]
+    for share in STEP_SHARES:
+        values: dict[str, Value] = {}
+        for name, change in zip(fitted.names, share * step, strict=True):
+            parameter = fitted.model.parameter(name)
+            values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
+        model = fitted.model.with_values(values)
+        if unchanged(model, kept, starts=starts, windows=fitted.windows).cost <= before:
+            return model
+    return fitted.model
+
+
+def only_in(fitted: Fit, name: str, groups: Sequence[Sequence[int]]) -> Sequence[int] | None:
+    """The one group of records that knows the parameters of an effect, or None where others do: without it they would
+    stay as they are (``without_group``), so that leaving it out confirms nothing.
+    """
+    columns = [i for i, key in enumerate(fitted.names) if key.partition(".")[0] == name]
+    known = np.array([sum(np.sum(fitted.jacobians[i][:, columns] ** 2, axis=0) for i in group) for group in groups])
+    which = int(np.argmax(known.sum(axis=1)))
+    rest = known.sum(axis=0) - known[which]
+    return groups[which] if columns and (rest <= ELSEWHERE * known[which]).all() else None
+
+
+def left_out(fitted: Fit, variance: float, records: Sequence[Record], groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """Deviance of left-out blocks of 2 s: what the fit to the other groups of records makes of each group."""
+    blocks: list[float] = []
+    for group in groups:
+        out = [records[i] for i in group]
+        model, starts = without_group(fitted, records, group), [fitted.starts[i] for i in group]
+        seen = unchanged(model, out, starts=starts, windows=fitted.windows)
+        for record, residual in zip(out, seen.residuals, strict=True):
+            size = max(1, round(BLOCK_S / record.sample_time_s))
+            blocks.extend(float(residual[a : a + size] @ residual[a : a + size]) for a in range(0, len(residual), size))
+    return np.array(blocks) / variance
+
+
+@dataclass(frozen=True)
+class Gain:
+    """How much less deviance one model leaves than another on left-out blocks, with its standard error.
+
+    No block counts for more than a bound: a window that folded elsewhere decides nothing. ``most`` is the largest gain
+    of a block.
+    """
+
+    total: float
+    error: float
+    most: float
+
+    @classmethod
+    def of(cls, before: np.ndarray, after: np.ndarray, settings: SearchSettings = SETTINGS) -> Gain:
+        bound = settings.most_of_a_block
+        gains = np.clip(before - after, -bound, bound)
+        return cls(float(gains.sum()), float(gains.std(ddof=1)) * float(np.sqrt(len(gains))), float(gains.max()))
+
+    def sure(self, settings: SearchSettings = SETTINGS) -> bool:
+        """Whether it is one, within what the blocks can tell."""
+        return self.total >= settings.sure_sigmas * self.error
+
+
+def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
+    """Why a fitted effect cannot be believed by its parameters alone, or None; replicas as for ``estimates``."""
+    known = _smooth(found, name, replicas)
+    bounds = (_at_a_bound(p, value) for p, value in known)
+    return next((why for why in bounds if why), None) or _vanishing(found, name, known)
+
+
+def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple[Parameter, Estimate]]:
+    known = estimates(found, replicas)
+    return [(p, known[f"{name}.{p.name}"]) for p in effect(name).parameters if p.is_smooth]
+
+
+def _at_a_bound(parameter: Parameter, value: Estimate) -> str | None:
+    if value.at_bound and (value.value != 0.0 or parameter.neutral is not None):
+        # Nothing in nature is below zero; any other bound is one of the search.
+        return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
+    return None
+
+
+def _vanishing(found: Fit, name: str, known: Sequence[tuple[Parameter, Estimate]]) -> str | None:
+    """What says that the effect may as well not be there; one of several sizes is not distinct from none unless all
+    are, together (Wald's test): data may know their difference and nothing of their sum.
+    """
+    # A ragged parameter has no width by gradients: the fit and the left-out records judge it.
+    sizes = [(p, value, p.neutral) for p, value in known if p.neutral is not None and not p.ragged]
+    whys = []
+    for parameter, value, neutral in sizes:
+        if abs(value.value - neutral) < 1e-9:
+            whys.append(f"{parameter.name} went to {neutral:g}, where the effect vanishes")
+        elif value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - neutral):
+            whys.append(f"{parameter.name} is not distinct from {neutral:g}, where the effect vanishes")
+    if len(whys) == len(sizes) > 1:
+        cov, _ = covariance(found)
+        at = [found.names.index(f"{name}.{p.name}") for p, _, _ in sizes]
+        away = np.array([value.value - neutral for _, value, neutral in sizes])
+        block = cov[np.ix_(at, at)]
+        if np.isfinite(block).all() and away @ np.linalg.pinv(block, hermitian=True) @ away > SIGMAS_FROM_NEUTRAL**2:
+            return None
+    return whys[0] if whys and len(whys) == len(sizes) else None

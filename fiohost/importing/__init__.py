@@ -1,0 +1,1 @@
+"""Tables from elsewhere become logs: read in whatever form they come, understood or told by a map, converted, said."""

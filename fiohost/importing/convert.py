@@ -1,0 +1,202 @@
+"""A foreign table and its map become a log, in memory or as a file. Both go through one text, so that they are one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fiohost import __version__
+from fiohost.bench.integrity import ended
+from fiohost.bench.log import Log
+from fiohost.errors import DataError, LogError
+from fiohost.files import Output, write_output
+from fiohost.importing.map import REFUSE, TableMap
+from fiohost.importing.raw import NUMBER, TEXT, FloatArray, RawColumn, RawTable
+from fiohost.importing.read import read_raw
+from fiohost.importing.times import spaced, times_s
+
+DUTY_TOLERANCE_PCT = 0.01  # a command printed with few digits may exceed full scale by its rounding
+AMBIGUOUS_STEP = 0.4  # of a turn between rows: the shortest path may be the wrong one
+MOST_MISSING = 0.5  # of the rows
+LOOK_AHEAD = 6  # rows in which a speed must not fall further at its minimum
+MOST_SHOWN_CHARS = 500
+
+
+def log_from_table(table: Path, table_map: TableMap) -> Log:
+    """Make a log of a foreign table in memory. Raises LogError or DataError where the table does not fit the map.
+
+    The log's ``path`` and ``sha256`` are those of the table, so that the same table in two roles is recognised.
+    """
+    return log_from_raw(read_raw(table, table_map.columns), table_map)
+
+
+def log_from_raw(raw: RawTable, table_map: TableMap, understood: Sequence[str] = ()) -> Log:
+    """The same for a table that has been read; *understood* are sentences on a map that was found, not given."""
+    text, dropped = _convert(raw, table_map, understood)
+    return Log.parse(text, path=raw.path, sha256=raw.sha256, dropped=dropped)
+
+
+def import_table(table: Path, table_map: TableMap, output: Output) -> Log:
+    """Write the log of a foreign table to *output*, whole or not at all, and return it. Raises FiohostError."""
+    return import_raw(read_raw(table, table_map.columns), table_map, output)
+
+
+def import_raw(raw: RawTable, table_map: TableMap, output: Output, understood: Sequence[str] = ()) -> Log:
+    """The same for a table that has been read."""
+    text, dropped = _convert(raw, table_map, understood)
+    written = write_output(output, ended(text))
+    log = Log.read(written)
+    return log if not dropped else Log.parse(text, path=written, sha256=log.sha256, dropped=dropped)
+
+
+def _convert(raw: RawTable, table_map: TableMap, understood: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """The log's text, and notes on what was dropped or is doubtful (missing ticks the log notes)."""
+    notes = list(raw.notes)
+    columns = {name: _checked(raw.column(name), raw, table_map) for name in table_map.columns}
+    keep = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+    if not keep.all():
+        gone = int(np.count_nonzero(~keep))
+        if gone > MOST_MISSING * raw.rows:
+            raise DataError(f"{raw.path}: {gone} of {raw.rows} rows have an empty cell in a column that is needed")
+        notes.append(f"{gone} rows with an empty cell (the first is row {int(np.argmin(keep)) + 1})")
+    columns = {name: values[keep] for name, values in columns.items()}
+    rows = int(np.count_nonzero(keep))
+    if rows == 0:
+        raise LogError(f"{raw.path} has no row of numbers")
+
+    if table_map.time_column is None:
+        time_s, sample_time_s = np.arange(rows, dtype=np.float64) * table_map.sample_time_s, table_map.sample_time_s
+    else:
+        time_s, moved = times_s(columns[table_map.time_column], table_map, raw.path)
+        notes += moved
+        first = np.concatenate(([True], np.diff(time_s) > 0))
+        if not first.all():
+            notes.append(f"{int(np.count_nonzero(~first))} rows that repeat the time of the row before")
+            columns = {name: values[first] for name, values in columns.items()}
+            time_s, rows = time_s[first], int(np.count_nonzero(first))
+        sample_time_s, jitter = spaced(time_s, raw.path)
+        notes += [jitter] if jitter else []
+    duty_pct = _duty(columns, rows, table_map, raw.path)
+    output = columns[table_map.output_column] * table_map.output_scale + table_map.output_offset
+    if table_map.wrap:
+        output, doubt = _unwrap(output, table_map.wrap)
+        notes += [doubt] if doubt else []
+    output = output * table_map.output_factor
+    if not table_map.signed:
+        output = signed_by(output, duty_pct)
+    names = ["time_s", "duty_pct", table_map.log_column, *(one.name for one in table_map.beside)]
+    beside = [columns[one.column] * one.scale for one in table_map.beside]
+
+    head = [
+        f"# {key}: {_one_line(value)}\n" for key, value in _metadata(raw, table_map, sample_time_s, understood) if value
+    ]
+    head.append(",".join(names) + "\n")
+    extra = ["".join(f",{value:.9g}" for value in row) for row in zip(*beside, strict=True)] if beside else [""] * rows
+    table = zip(time_s.tolist(), duty_pct.tolist(), output.tolist(), extra, strict=True)
+    return "".join([*head, *(f"{t:.15g},{u:.12g},{y:.12g}{more}\n" for t, u, y, more in table)]), tuple(notes)
+
+
+def _metadata(
+    raw: RawTable, table_map: TableMap, sample_time_s: float, understood: Sequence[str]
+) -> list[tuple[str, str]]:
+    factor = table_map.output_factor
+    turn = table_map.turn if table_map.unit == "counts" else 0.0
+    return [
+        ("schema", "fiohost.log/1"),
+        ("target", "import"),
+        ("source", raw.path.name),
+        ("source_sha256", raw.sha256),
+        ("data_source", table_map.source),
+        ("map", table_map.name),
+        ("understood", "; ".join(understood)),
+        ("sample_time_s", f"{sample_time_s:.12g}"),
+        ("command_delay_ticks", str(table_map.delay_ticks)),
+        ("pwm_hz", f"{table_map.pwm_hz:.12g}" if table_map.pwm_hz else ""),
+        ("full_scale", f"{100.0 / abs(table_map.command_scale):.12g}"),
+        ("full_scale_unit", table_map.command_unit),
+        ("output_quantum", f"{table_map.quantum * factor:.12g}"),
+        ("output_average", table_map.average),
+        ("output_sign", "" if table_map.signed else "of the command"),
+        ("counts_per_rev", f"{turn:.0f}" if turn and turn.is_integer() else ""),
+        ("output_noise_rms", "" if table_map.noise_rms is None else f"{table_map.noise_rms * factor:.12g}"),
+        ("pos_reset", str(not table_map.common_zero).lower()),
+        ("host_version", __version__),
+    ]
+
+
+def _checked(column: RawColumn, raw: RawTable, table_map: TableMap) -> FloatArray:
+    """The numbers of a needed column. Raises LogError where cells are none."""
+    for at, why in ((column.bad, "not a number"), (column.missing if table_map.missing == REFUSE else None, "")):
+        if at is None:
+            continue
+        line, cell = at
+        what = f"{cell[:40]!r}" if cell else "an empty cell"
+        why = why or ("not a finite number" if cell and cell[0].lower() in "ni+-" and len(cell) > 2 else "not a number")
+        raise LogError(
+            f"{raw.path} line {line}, column {column.name!r}: {what} is {why}; a missing sample must be a missing row"
+        )
+    if column.kind == TEXT:
+        raise LogError(f"{raw.path}: column {column.name!r} holds text, not numbers")
+    if column.kind != NUMBER and column.name != table_map.time_column:
+        raise LogError(f"{raw.path}: column {column.name!r} holds times, not numbers")
+    return column.values
+
+
+def signed_by(speed: FloatArray, command: FloatArray) -> FloatArray:
+    """A speed without sign with that of the command, shape (rows,): it turns at the slowest row after each reversal."""
+    known = np.flatnonzero(command)
+    if not known.size:
+        return speed
+    sign = np.sign(command[known])
+    turns = known[1:][np.diff(sign) != 0]
+    result = np.empty_like(speed)
+    begin, way = 0, float(sign[0])
+    for i, turn in enumerate(turns):
+        end = int(turns[i + 1]) if i + 1 < len(turns) else len(speed)
+        at = int(turn) + standstill(speed[int(turn) : end])
+        result[begin:at] = way * speed[begin:at]
+        begin, way = at, -way
+    result[begin:] = way * speed[begin:]
+    return result
+
+
+def standstill(speed: FloatArray) -> int:
+    """The row at which a speed without sign, shape (rows,), goes through zero: its first clear minimum."""
+    for i in np.flatnonzero(speed < 0.5 * speed[0]):
+        if speed[i] <= speed[i : i + LOOK_AHEAD].min():
+            return int(i)
+    return int(np.argmin(speed))
+
+
+def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: Path) -> FloatArray:
+    command = (
+        np.full(rows, table_map.constant_command)
+        if table_map.command_column is None
+        else columns[table_map.command_column]
+    )
+    duty_pct = command * table_map.command_scale
+    largest = float(np.abs(duty_pct).max())
+    if largest > 100.0 + DUTY_TOLERANCE_PCT:
+        raise DataError(
+            f"{path}: the command reaches {largest:g} % of full scale; [command] scale = {table_map.command_scale:g} "
+            "does not turn it into percent"
+        )
+    return np.clip(duty_pct, -100.0, 100.0)
+
+
+def _unwrap(values: FloatArray, wrap: float) -> tuple[FloatArray, str]:
+    """Undo wrapping at *wrap* by the shortest path; values that range wider than a turn are continuous already."""
+    if np.ptp(values) > wrap:
+        return values, ""
+    unwrapped = np.unwrap(values, period=wrap)
+    steps = np.abs(np.diff(unwrapped))
+    if steps.size and float(steps.max()) > AMBIGUOUS_STEP * wrap:
+        return unwrapped, f"the angle moves {steps.max() / wrap:.2f} of a turn between rows: its unwrapping is doubtful"
+    return unwrapped, ""
+
+
+def _one_line(value: str) -> str:
+    return re.sub(r"\s+", " ", value)[:MOST_SHOWN_CHARS]

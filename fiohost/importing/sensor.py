@@ -1,0 +1,105 @@
+"""The measured column of a foreign table: its unit, resolution, turn, and whether it is a mean."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from fiohost.errors import ConfigError
+from fiohost.importing import roles
+from fiohost.importing.found import Answers, Found, Unknown
+from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
+from fiohost.importing.map import TableMap
+from fiohost.importing.raw import FloatArray, RawTable
+from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head
+from fiohost.importing.units import MAP_UNITS, unit_of
+from fiohost.settings import nearest
+
+COARSE = 2000.0  # levels of a speed over its range: fewer come from counted pulses, a mean since the row before
+TURN_PATTERNS = (
+    r"(\d{2,7})\s*(?:counts?|cpr|ppr|ticks?|inc\w*|pulses?|impulse?|imp|striche|lines)?\.?\s*(?:/|per|pro|je)\s*(?:rev\w*|turn|umdr\w*|u\b)",
+    r"\b(?:cpr|ppr|counts[ _]per[ _](?:rev\w*|turn)|ticks[ _]per[ _]rev\w*|inkremente)\D{0,6}(\d{2,7})",
+    r"(\d{2,7})\s*(?:cpr|ppr)\b",
+)
+
+
+def sensor_of(raw: RawTable, output: Head, answers: Answers, found: Found) -> TableMap | None:
+    """The part of the map that is the output's."""
+    column = output.column
+    values = column.values[np.isfinite(column.values)]
+    whole = bool(values.size) and bool(np.all(values == np.rint(values)))
+    unit, scale = _output_unit(output, answers, values, whole, found)
+    if not unit:
+        kinds = "rpm, deg/s, rad/s" if output.words & SPEED_WORDS else "deg, rad, counts; deg/s, rpm, rad/s; m"
+        what = f"the unit of the output {column.name!r} ({kinds})"
+        found.unknown.append(Unknown("unit", what, "--unit", tuple(MAP_UNITS)))
+        return None
+    quantum = quantum_of(column.values) * abs(scale)
+    wrap = wrap_of(column.values * scale, unit) if MAP_UNITS[unit][0] == "angle" else 0.0
+    turn = 0.0
+    if unit in ("counts", "counts/s"):
+        turn = answers.counts_per_rev or _counts_per_rev(raw, output)
+        if not turn and (not wrap or wrap in COUNTER_TURNS):
+            found.unknown.append(
+                Unknown("counts_per_rev", f"how many counts of {column.name!r} make a turn", "--counts-per-rev")
+            )
+            return None
+        if not turn:
+            found.assumed.append(f"{column.name!r} begins anew at {wrap:g} counts, which is taken as a turn")
+            turn = wrap
+        quantum = max(quantum, 1.0) if unit == "counts" and whole else quantum
+    quantity = MAP_UNITS[unit][0]
+    span = float(np.ptp(values) * abs(scale)) if values.size else 0.0
+    coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
+    average = "previous_interval" if coarse else "instant"
+    parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
+    parts += [f"resolution {quantum:.6g} {unit}"] if quantum else []
+    parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
+    parts += [f"{turn:g} counts a turn"] if turn else []
+    if coarse:
+        found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
+    found.lines.append(", ".join(parts))
+    return TableMap(
+        name="found", output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
+        wrap=wrap, counts_per_rev=turn if turn and turn != wrap else 0.0,
+    )  # fmt: skip
+
+
+def _output_unit(output: Head, answers: Answers, values: FloatArray, whole: bool, found: Found) -> tuple[str, float]:
+    """The map's unit of the output and the factor to it, "" where it is not known."""
+    if answers.unit is not None:
+        said = unit_of(answers.unit)
+        base = answers.unit if answers.unit in MAP_UNITS else said.base if said else ""
+        if base not in MAP_UNITS:
+            raise ConfigError(f"unknown unit {answers.unit[:40]!r}; {nearest(answers.unit, MAP_UNITS)}")
+        return base, 1.0 if answers.unit in MAP_UNITS or said is None else said.scale
+    if output.unit is not None and output.unit.base in MAP_UNITS:
+        return output.unit.base, output.unit.scale
+    name = output.column.name
+    if output.words & {"drehzahl", "rpm"}:
+        found.assumed.append(f"{name!r} is in rpm")
+        return "rpm", 1.0
+    if output.words & SPEED_WORDS:
+        return "", 1.0
+    if whole and output.words & COUNT_WORDS:
+        found.assumed.append(f"{name!r}, whole numbers, are counts")
+        return "counts", 1.0
+    turn = turn_of(values)
+    if turn and not (whole and turn == "rad"):
+        found.assumed.append(f"{name!r} is in {turn}, since it begins anew after a turn of that size")
+        return turn, 1.0
+    if whole and wrap_of(values, "counts") and output.score(roles.OUTPUT) > 2.0:
+        found.assumed.append(f"{name!r}, whole numbers that begin anew, are counts")
+        return "counts", 1.0
+    return "", 1.0
+
+
+def _counts_per_rev(raw: RawTable, output: Head) -> float:
+    texts = [output.column.name, output.column.unit, *raw.titles]
+    for pattern in TURN_PATTERNS:
+        for text in texts:
+            told = re.search(pattern, text, re.IGNORECASE)
+            if told:
+                return float(told[1])
+    return 0.0

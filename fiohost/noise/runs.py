@@ -1,0 +1,147 @@
+"""What differs from run to run: random effects of the runs, a mean and a scatter each (Laird and Ware 1982).
+
+Gain and dry friction scatter as shares of themselves, an offset of the torque in percent of duty. Little is needed of a
+run: how what is left pulls at each of them, and how well it knows them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fiohost.motor.model import Model
+from fiohost.noise.settings import SETTINGS, NoiseSettings
+
+GAIN, FRICTION, LOAD = 0, 1, 2
+LOAD_EFFECT = "constant_load"
+FRICTIONS = (
+    "coulomb_friction.level_pct",
+    "asymmetric_coulomb_friction.forward_pct",
+    "asymmetric_coulomb_friction.reverse_pct",
+)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A run as its random effects see it: the information (3, 3) on them, and the score (3), both whitened."""
+
+    information: np.ndarray
+    score: np.ndarray
+
+    def __add__(self, other: Pull) -> Pull:
+        return Pull(self.information + other.information, self.score + other.score)
+
+
+@dataclass(frozen=True)
+class RunToRun:
+    """Standard deviations (3) of gain (share), dry friction (share) and offset load (percent of duty) over runs, their
+    95 % intervals (3, 2), and by run the most likely values (3), shrunk to none by what the run does not say.
+    """
+
+    sd: np.ndarray
+    ci95: np.ndarray
+    by_run: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def known(self) -> bool:
+        return bool(np.any(self.sd > 0.0))
+
+
+NO_SCATTER = RunToRun(np.zeros(3), np.zeros((3, 2)))
+
+
+def run_of(name: str) -> str:
+    """The run that a record is of: pieces of one log are one run."""
+    return name.rpartition(" [")[0] if name.endswith("]") and " [" in name else name
+
+
+def varied(model: Model, own: np.ndarray) -> Model:
+    """A model with a run's own deviations (3), as far as the bounds of its parameters allow."""
+    if not np.any(own):
+        return model
+
+    def scaled(key: str, share: float) -> float:
+        parameter = model.parameter(key)
+        return float(np.clip(model.number(key) * (1.0 + share), parameter.lower, parameter.upper))
+
+    values = {"linear.gain_deg_s_per_pct": scaled("linear.gain_deg_s_per_pct", float(own[GAIN]))}
+    values |= {key: scaled(key, float(own[FRICTION])) for key in FRICTIONS if key in model.values}
+    changed = model.with_values(values)
+    if not own[LOAD]:
+        return changed
+    key = f"{LOAD_EFFECT}.level_pct"
+    if LOAD_EFFECT not in changed.effects:
+        changed = changed.with_effect(LOAD_EFFECT, {"level_pct": 0.0})
+    bounds = changed.parameter(key)
+    return changed.with_values({key: float(np.clip(changed.number(key) + own[LOAD], bounds.lower, bounds.upper))})
+
+
+def _deviance(pulls: Sequence[Pull], sd: np.ndarray) -> float:
+    """-2 log restricted likelihood of scatter, the mean over runs free, but for a constant."""
+    total, information, score = 0.0, np.zeros((3, 3)), np.zeros(3)
+    for pull in pulls:
+        inner = np.eye(3) + sd[:, None] * pull.information * sd
+        inverse = np.linalg.inv(inner)
+        scaled = sd * pull.score
+        total += float(np.linalg.slogdet(inner)[1]) - float(scaled @ inverse @ scaled)
+        taken = pull.information * sd @ inverse
+        information += pull.information - taken @ (sd[:, None] * pull.information)
+        score += pull.score - taken @ scaled
+    values, vectors = np.linalg.eigh(information)
+    seen = values > 1e-9 * max(float(values.max()), 1e-300)
+    along = vectors[:, seen].T @ score
+    return total + float(np.log(values[seen]).sum()) - float(np.sum(along**2 / values[seen]))
+
+
+def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
+    """Scatter over runs from how they pull; none of fewer than three runs, or where chance would do."""
+    if len(pulls) < settings.least_runs:
+        return NO_SCATTER
+    parts = list(pulls.values())
+    grids = [np.concatenate(([0.0], np.geomspace(low, high, settings.run_looks))) for low, high in settings.run_spans]
+    sd = np.zeros(3)
+
+    def profile(k: int) -> np.ndarray:
+        return np.array([_deviance(parts, np.where(np.arange(3) == k, x, sd)) for x in grids[k]])
+
+    for _ in range(settings.run_sweeps):
+        for k in range(3):
+            sd[k] = grids[k][int(np.argmin(profile(k)))]
+    order = np.argsort([_deviance(parts, np.where(np.arange(3) == k, 0.0, sd)) for k in range(3)])
+    for k in order.tolist():
+        without = np.where(np.arange(3) == k, 0.0, sd)
+        if _deviance(parts, without) - _deviance(parts, sd) < settings.run_deviance:
+            sd = without
+    if not sd.any():
+        return NO_SCATTER
+    ci95 = np.zeros((3, 2))
+    for k in np.flatnonzero(sd).tolist():
+        deviances = profile(k)
+        inside = grids[k][deviances <= deviances.min() + settings.interval_deviance]
+        ci95[k] = inside[0], inside[-1]
+    own = {}
+    for name, pull in pulls.items():
+        inner = np.eye(3) + sd[:, None] * pull.information * sd
+        own[name] = sd * np.linalg.solve(inner, sd * pull.score)
+    return RunToRun(sd, ci95, own)
+
+
+def each_alone(pulls: dict[str, Pull]) -> RunToRun:
+    """What differs between runs as each says alone, nothing shrunk: so the rest of the noise is free of it."""
+    own = {}
+    for name, pull in pulls.items():
+        scale = np.sqrt(np.maximum(np.diag(pull.information), 1e-300))
+        own[name] = (
+            np.linalg.lstsq(pull.information / np.outer(scale, scale), pull.score / scale, rcond=1e-6)[0] / scale
+        )
+    return RunToRun(np.zeros(3), np.zeros((3, 2)), own)
+
+
+def shrinking(columns: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """What whitens a run's series for its random effects: directions (n, k), how much (k) of each is taken out, and the
+    logarithm of the covariance's determinant; ``columns`` (n, 3) are whitened derivatives by the effects.
+    """
+    left, sizes, _ = np.linalg.svd(columns * sd, full_matrices=False)
+    return left, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2), float(np.log1p(sizes**2).sum())

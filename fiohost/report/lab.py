@@ -1,0 +1,62 @@
+"""One self-contained HTML page of a lab: the text's questions with the answers of this run, tables, plots and files."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+
+from fiohost import __version__
+from fiohost.files import write_output
+from fiohost.labs.questions import questions_of
+from fiohost.report.page import STYLE
+
+if TYPE_CHECKING:
+    from fiohost.labs.result import Cell, LabResult, Table
+
+TEMPLATE = Path(__file__).with_name("lab.html.j2")
+
+
+def write_lab_page(path: Path, result: LabResult, pictures: Mapping[str, bytes], files: Mapping[str, str]) -> Path:
+    """Write the page, whole or not at all; ``pictures`` are PNGs by name. Raises FiohostError."""
+    write_output(path, render_lab(result, pictures, files))
+    return path
+
+
+def render_lab(result: LabResult, pictures: Mapping[str, bytes], files: Mapping[str, str]) -> str:
+    """The page as text. Nothing in it is loaded from anywhere."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["cell"] = cell_text
+    asked: list[dict[str, Any]] = []
+    used: set[str] = set()
+    for item in questions_of(result.name):
+        found = [a for a in result.answers if item.answers and a.question.startswith(item.answers)]
+        used |= {a.question for a in found}
+        asked.append({"where": item.where, "text": item.text, "found": found})
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        result=result,
+        style=STYLE.read_text(encoding="utf-8"),
+        version=__version__,
+        asked=asked,
+        others=[a for a in result.answers if a.question not in used],
+        pictures=[(name, base64.b64encode(data).decode("ascii")) for name, data in pictures.items()],
+        files=files,
+        numbers=_numbers,
+    )
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell as it is printed: four significant digits."""
+    if cell is None:
+        return ""
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def _numbers(table: Table, column: int) -> bool:
+    """Whether a column holds numbers only."""
+    return all(not isinstance(row[column], str) for row in table.rows)

@@ -1,0 +1,128 @@
+"""Teaching: a bench of one's own for every student, worksheets without answers, grades against the seals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+import fiohost
+from fiohost.bench.seal import student_seed
+from fiohost.cli.main import cli
+from fiohost.errors import ConfigError
+from fiohost.labs.grade import grade
+from fiohost.motor.model import Model
+from fiohost.transport.instruments import break_seal
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def test_a_student_has_the_same_bench_every_time_and_another_student_another() -> None:
+    logs = []
+    for student in ("anna", "Anna", "ben"):
+        with fiohost.connect(f"sim:student:{student}") as bench:
+            logs.append(bench.drive(40.0, 2.0))
+    assert (logs[0].output == logs[1].output).all()
+    assert not (logs[0].output == logs[2].output).all()
+    assert "anna" not in str(logs[0].metadata).lower()
+    with pytest.raises(ConfigError, match="no student's name"):
+        fiohost.connect("sim:student:a/b")
+    with pytest.raises(ConfigError, match="leave the seed away"):
+        fiohost.connect("sim:student:anna", seed=3)
+
+
+def test_the_option_stands_for_the_target_and_the_log_gives_nothing_away(tmp_path: Path) -> None:
+    log = tmp_path / "run.csv"
+    assert call("run", "steps_from_rest", "--student", "anna", "--log", log).exit_code == 0
+    text = log.read_text()
+    assert "# target: sim:sealed\n" in text
+    assert str(student_seed("anna")) not in text
+    refused = call("unseal", log)
+    assert refused.exit_code == 1
+    assert "not kept here" in refused.stderr
+    assert "leave --target" in call("run", "steps_from_rest", "--student", "anna", "--target", "hid").stderr
+
+
+def write(folder: Path, student: str, *, scale: float = 1.0, drop: bool = False) -> Path:
+    """A model as the student's bench is, its gain off by a factor, or without its effects."""
+    reduced = break_seal(student_seed(student))["reduced"]
+    effects = tuple(name for name in reduced if name != "linear" and not (drop and name != "coulomb_friction"))
+    values = {f"{e}.{k}": v for e in ("linear", *effects) for k, v in reduced[e].items()}
+    values["linear.gain_deg_s_per_pct"] *= scale
+    path = folder / f"{student}.toml"
+    Model(effects, values).write(path)
+    return path
+
+
+def with_one_effect() -> str:
+    """A student whose bench lacks nothing but one effect that a model file can hold."""
+    for number in range(200):
+        truth = break_seal(student_seed(f"s{number}"))
+        extra = [name for name in truth["effects"] if name != "coulomb_friction"]
+        if extra == ["gravity_load"]:
+            return f"s{number}"
+    raise AssertionError
+
+
+def test_grades_say_what_was_right_and_how_far_off_the_rest_is(tmp_path: Path) -> None:
+    student = with_one_effect()
+    exact = grade(write(tmp_path, student))
+    assert exact.effects_right
+    assert exact.errors_pct is not None
+    assert max(abs(error) for error in exact.errors_pct.values()) < 1e-6
+    off = grade(write(tmp_path, student, scale=1.3) if not (tmp_path / f"{student}.toml").unlink() else tmp_path)
+    assert off.errors_pct is not None
+    assert off.errors_pct["linear.gain_deg_s_per_pct"] == pytest.approx(30.0)
+    assert off.within(10.0) == len(off.errors_pct) - 1
+    (tmp_path / f"{student}.toml").unlink()
+    assert not grade(write(tmp_path, student, drop=True)).effects_right
+
+
+def test_the_command_writes_a_table_and_one_broken_file_stops_nobody(tmp_path: Path) -> None:
+    folder = tmp_path / "handed_in"
+    folder.mkdir()
+    student = with_one_effect()
+    write(folder, student)
+    (folder / "broken.toml").write_text("schema = 1")
+    table = tmp_path / "grades.csv"
+    result = call("lab", "grade", folder, "-o", table, "--json", "-")
+    assert result.exit_code == 0, result.stderr
+    rows = list(csv.DictReader(table.open()))
+    assert {row["student"]: row["right"] for row in rows} == {"broken": "no", student: "yes"}
+    told = {one["student"]: one for one in json.loads(result.stdout)["grades"]}
+    assert "schema" in told["broken"]["problem"]
+    assert call("lab", "grade", tmp_path / "absent").exit_code == 1
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert "holds no model file" in call("lab", "grade", empty).stderr
+
+
+def test_a_worksheet_has_blanks_and_the_answers_are_in_the_teachers_file_alone(tmp_path: Path) -> None:
+    page, answers = tmp_path / "sheet.html", tmp_path / "teacher.json"
+    result = call(
+        "lab", "manual", "--student", "anna", "--worksheet", page, "--answers", answers, "--report", tmp_path / "lab"
+    )
+    assert result.exit_code == 0, result.stderr
+    told, text = json.loads(answers.read_text()), page.read_text()
+    assert told["student"] == "anna"
+    assert told["answers"]
+    assert text.count('class="blank"') >= 10
+    for one in told["answers"]:
+        assert one["answer"] not in result.output
+        assert one["answer"] not in text
+    found = {f"{cell:.4g}" for t in told["tables"] for row in t["rows"] for cell in row[1:] if isinstance(cell, float)}
+    given = {f"{row[0]:.4g}" for t in told["tables"] for row in t["rows"] if isinstance(row[0], float)}
+    shown = set(re.findall(r"<td>([^<]+)</td>", text))
+    assert not (found - given) & shown
+    assert (
+        "no --json beside it"
+        in call(
+            "lab", "manual", "--worksheet", tmp_path / "two.html", "--json", "-", "--report", tmp_path / "lab2"
+        ).stderr
+    )
