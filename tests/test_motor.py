@@ -202,4 +202,4 @@ def test_an_effect_that_a_hold_freezes_depends_on_nothing_that_changes_within_it
     assert item.resistance is None
     assert item.bristle is None
     if item.voltage:
-        assert len({item.voltage(40.0, 40.0, time, q) for *_, time in states}) == 1
+        assert len({item.voltage(40.0, 40.0, time, 0.0, q) for *_, time in states}) == 1

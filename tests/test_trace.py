@@ -31,6 +31,7 @@ from fiohost.transport.simulated import SimulatedTransport
 from fiohost.transport.trace import TraceReader, TraceWriter
 from firmware_model import Board, FaultyBoard
 from firmware_model.plants import make_plant
+from firmware_model.sealed import NEWEST
 
 STAIRS = Experiment("stairs", [Staircase(levels=(30.0, -60.0), step_s=0.3, duration_s=0.6)])
 MOTOR = {"supply_V": 9.0, "R_ohm": 5.5, "Kt_Nm_per_A": 0.34, "Ke_Vs_per_rad": 0.487, "J_kgm2": 3e-3, "coulomb_Nm": 0.02}
@@ -96,7 +97,7 @@ def test_the_trace_of_a_sealed_board_names_no_plant(tmp_path: Path, monkeypatch:
     with asking(trace=tmp_path / "t.jsonl"), connect("sim:sealed", seed=3) as bench:
         bench.drive(20.0, 0.05)
     head = json.loads((tmp_path / "t.jsonl").read_text().splitlines()[0])
-    assert head["facts"] == {"sealed_version": "1"}
+    assert head["facts"] == {"sealed_version": str(NEWEST)}
     assert (head["target"], head["identity"]) == ("sim:sealed", "simulated, sealed")
 
 
