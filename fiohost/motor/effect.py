@@ -190,12 +190,13 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Span:
-    """What the data cover: the bench's time in seconds, and the angles in degrees where the shaft stood though driven
-    on, as at an end of travel (positive where it was driven forward).
+    """What the data cover: the bench's time in seconds, the angles in degrees where the shaft stood though driven on,
+    as at an end of travel (positive where it was driven forward), and frequencies in Hz of lines in what is left.
     """
 
     time_s: tuple[float, float]
     ends_deg: tuple[float, ...]
+    lines_hz: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -203,14 +204,15 @@ class Effect:
     """One physical effect, its equation and parameters, where it acts and what it cannot be told from.
 
     ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
-    data cannot tell apart; all their names are reported whatever it is. ``linear_pairs`` says that consecutive trials
-    are a sine and a cosine of one effect. ``once`` marks an event that can be had only once, so that left-out records
-    cannot confirm it: it is believed only where it leaves nothing; ``shown`` what readings show by themselves wherever
-    it is tried, so that one record is enough; ``warms`` what hangs on how warm the bench began, ``clocked`` what hangs
-    on the bench's own time, from one log to the next. ``trials_for`` makes trials that depend on what the data cover.
-    ``substep_s`` is the longest step over which the effect may be frozen; ``opens`` says that the bridge is open, not
-    shorted, between pulses. ``unnamed`` is a general curve, for what no name fits; ``drives`` says that the effect may
-    bring energy of its own, as a weight or a clock does.
+    data cannot tell apart; all their names are reported whatever it is. ``couples`` names each size that swings and
+    the phase that goes with it: a sine and a cosine make any of both, so that a trial needs no phase. ``once`` marks
+    an event that can be had only once, so that left-out records cannot confirm it: it is believed only where it leaves
+    nothing; ``shown`` what readings show by themselves wherever it is tried, so that one record is enough; ``warms``
+    what hangs on how warm the bench began, ``clocked`` what hangs on the bench's own time, from one log to the next.
+    ``trials_for`` makes trials that depend on what the data cover. ``substep_s`` is the longest step over which the
+    effect may be frozen; ``opens`` says that the bridge is open, not shorted, between pulses. ``unnamed`` is a general
+    curve, for what no name fits; ``drives`` says that the effect may bring energy of its own, as a weight or a clock
+    does.
     """
 
     name: str
@@ -228,7 +230,7 @@ class Effect:
     replaces: tuple[str, ...] = ()
     trials: tuple[Mapping[str, Value], ...] = ()
     trials_for: Callable[[Span], tuple[Mapping[str, Value], ...]] | None = field(default=None, repr=False)
-    linear_pairs: bool = False
+    couples: tuple[tuple[str, str], ...] = ()
     once: bool = False
     shown: bool = False
     warms: bool = False
@@ -258,6 +260,11 @@ class Effect:
     delay: Hook | None = field(default=None, repr=False)
     measure: Hook | None = field(default=None, repr=False)
     measure_speed: Hook | None = field(default=None, repr=False)
+
+    @property
+    def unseen_in_windows(self) -> bool:
+        """Whether its score says nothing in windows that begin as another model has them: warmth, an end of travel."""
+        return self.warms or self.event is not None
 
     @property
     def hook_functions(self) -> tuple[Callable[..., object], ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import numpy as np
 from fiohost.errors import ConfigError, FiohostError, ModelError
 from fiohost.files import write_output
 from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layout
-from fiohost.settings import config_names, find_config, nearest, read_toml
+from fiohost.motor.seen import RANGES, Seen
+from fiohost.settings import Table, config_names, find_config, nearest, read_toml
 
 SCHEMA = "fiohost.model/1"
 # What the numbers of a model are in, and those of its file; on a linear axis files say metres.
@@ -32,7 +34,7 @@ class Model:
 
     ``values`` holds every parameter of every effect as ``effect.parameter``; ``fixed`` names those not to be estimated.
     ``unit`` is what the degrees in parameters' names really are: ``deg``, or ``mm`` on a linear axis. ``pwm_hz`` is the
-    frequency of the bridge's PWM, of which the winding's ripple depends.
+    frequency of the bridge's PWM, of which the winding's ripple depends. ``seen`` is what it was fitted to.
     """
 
     effects: tuple[str, ...] = ()
@@ -40,6 +42,7 @@ class Model:
     fixed: frozenset[str] = frozenset()
     unit: str = DEGREES
     pwm_hz: float = PWM_HZ
+    seen: Seen | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         given = dict(self.values or {})
@@ -91,6 +94,7 @@ class Model:
         if not isinstance(fixed, list) or not all(isinstance(n, str) for n in fixed):
             raise fixed_table.fail("names is not a list of parameter names")
         fixed_table.finish()
+        seen = _seen(table)
         table.finish()
         values: dict[str, Value] = {}
         for group, inner in nested.items():
@@ -99,8 +103,9 @@ class Model:
             values.update({f"{group}.{key}": value for key, value in inner.items()})
         try:
             if unit == METRES:
-                return cls(tuple(names), _scaled(values, MM_PER_M), frozenset(fixed), MILLIMETRES, pwm_hz)
-            return cls(tuple(names), values, frozenset(fixed), pwm_hz=pwm_hz)
+                known = seen.scaled(MM_PER_M) if seen else None
+                return cls(tuple(names), _scaled(values, MM_PER_M), frozenset(fixed), MILLIMETRES, pwm_hz, known)
+            return cls(tuple(names), values, frozenset(fixed), pwm_hz=pwm_hz, seen=seen)
         except FiohostError as exc:
             raise ConfigError(f"{path}: {exc}") from exc
 
@@ -118,6 +123,9 @@ class Model:
         if self.fixed:
             names = ", ".join(f'"{name}"' for name in sorted(self.fixed))
             lines += ["", "[fixed]", f"names = [{names}]"]
+        if self.seen is not None:
+            told = (self.seen.scaled(1.0 / MM_PER_M) if linear else self.seen).to_json()
+            lines += ["", "[seen]", *(f"{key} = {json.dumps(value)}" for key, value in told.items())]
         write_output(path, "\n".join(lines) + "\n")
 
     def on_axis(self, rotary: bool) -> Model:
@@ -192,6 +200,7 @@ class Model:
             fixed=frozenset(k for k in self.fixed if k.partition(".")[0] not in gone),
             unit=self.unit,
             pwm_hz=self.pwm_hz,
+            seen=self.seen,
         )
 
     def switches(self) -> np.ndarray:
@@ -215,6 +224,24 @@ class Model:
         """Longest step of the kernel in s, 0 where each hold is one exact step."""
         steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
         return min([*steps, max(self.number("linear.tau_s") / STEPS_A_LAG, SHORTEST_STEP_S)]) if steps else 0.0
+
+
+def _seen(table: Table) -> Seen | None:
+    """What a file says that its model was fitted to went through; None where it says nothing. Raises ConfigError."""
+    if "seen" not in table.data:
+        return None
+    told = table.table("seen")
+    ranges = {}
+    for key in RANGES:
+        pair = told.numbers(key, most=2)
+        if len(pair) != 2 or pair[0] > pair[1]:
+            raise told.fail(f"{key} is not a range of two numbers, the lower first")
+        ranges[key] = (pair[0], pair[1])
+    hold_s, coasted = told.number("hold_s", low=0.0), told.raw("coasted", False)
+    if not isinstance(coasted, bool):
+        raise told.fail("coasted is neither true nor false")
+    told.finish()
+    return Seen(ranges["duty_pct"], ranges["speed"], hold_s, coasted)
 
 
 def _scaled(values: Mapping[str, Value], factor: float) -> dict[str, Value]:

@@ -1,9 +1,10 @@
 """Torque or gain that swings at a fixed frequency, whatever the shaft does."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
-from fiohost.motor.effect import Effect, Parameter
+from fiohost.motor.effect import Effect, Parameter, Span, Value
 
 TORQUE, GAIN = 0.0, 1.0
 
@@ -18,6 +19,11 @@ def torque(theta_deg, omega_deg_s, time_s, q):  # type: ignore[no-untyped-def]
 
 def voltage(volts_pct, duty_pct, time_s, z, q):  # type: ignore[no-untyped-def]
     return volts_pct * (1.0 + 0.01 * swing(time_s, q)) if q[3] == GAIN else volts_pct
+
+
+def trials(span: Span) -> tuple[Mapping[str, Value], ...]:
+    """One for each line in what is left, of a torque and of a gain."""
+    return tuple({"level_pct": 1.0, "frequency_hz": f, "of": of} for f in span.lines_hz for of in ("torque", "gain"))
 
 
 EFFECTS = (
@@ -38,6 +44,8 @@ EFFECTS = (
             Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0),
             Parameter("of", "", "torque", neutral=None, choices=("torque", "gain")),
         ),
+        trials_for=trials,
+        couples=(("level_pct", "phase_deg"),),
         source="Ripple of a supply, a program's slow task, vibration of the bench",
         torque=torque,
         voltage=voltage,

@@ -23,12 +23,8 @@ EFFECTS = (
             Parameter("level_pct", "%", 2.0, 0.0, 90.0),
             Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0),
         ),
-        trials=tuple(
-            {"order": float(n), "level_pct": 1.0, "phase_deg": phase}
-            for n in (*range(2, 21), 24, 30, 36, 40, 48)
-            for phase in (0.0, 90.0)
-        ),
-        linear_pairs=True,
+        trials=tuple({"order": float(n), "level_pct": 1.0} for n in (*range(2, 21), 24, 30, 36, 40, 48)),
+        couples=(("level_pct", "phase_deg"),),
         equivalents=("gravity_load",),
         source="Jahns and Soong, Pulsating torque minimization, IEEE Trans. Ind. Electron. 43, 1996",
         torque=torque,

@@ -41,12 +41,8 @@ EFFECTS = (
             Parameter("order", "per turn", 1.0, 1.0, 64.0, neutral=None, whole=True),
             Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0),
         ),
-        trials=tuple(
-            {"level_deg": 0.5, "order": float(n), "phase_deg": phase}
-            for n in (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20)
-            for phase in (0.0, 90.0)
-        ),
-        linear_pairs=True,
+        trials=tuple({"level_deg": 0.5, "order": float(n)} for n in (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20)),
+        couples=(("level_deg", "phase_deg"),),
         source="Ellin and Dolsak, The design and application of rotary encoders, Sensor Review 28, 2008",
         measure=eccentricity,
     ),
@@ -69,6 +65,8 @@ EFFECTS = (
                 Parameter(f"phase_{n}_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0, order=n),
             )
         ),
+        trials=({f"level_{n}_deg": 0.2 for n in range(1, ORDERS + 1)},),
+        couples=tuple((f"level_{n}_deg", f"phase_{n}_deg") for n in range(1, ORDERS + 1)),
         source="Ellin and Dolsak, The design and application of rotary encoders, Sensor Review 28, 2008",
         measure=harmonics,
     ),

@@ -25,10 +25,8 @@ EFFECTS = (
             Parameter("order", "per turn", 1.0, 1.0, 64.0, neutral=None, whole=True),
             Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0),
         ),
-        trials=tuple(
-            {"ratio": 0.2, "order": float(n), "phase_deg": phase} for n in range(1, 13) for phase in (0.0, 90.0)
-        ),
-        linear_pairs=True,
+        trials=tuple({"ratio": 0.2, "order": float(n)} for n in range(1, 13)),
+        couples=(("ratio", "phase_deg"),),
         source="Popovic and Goldenberg, Modeling of friction by spectral analysis, IEEE Trans. Robot. Autom. 14, 1998",
         friction=friction,
     ),
