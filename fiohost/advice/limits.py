@@ -13,8 +13,9 @@ import numpy as np
 
 from fiohost.advice.limit import Limit
 from fiohost.advice.windowed import Windowed
-from fiohost.discover.metrics import WIDE, Judgement, weigh
+from fiohost.discover.metrics import Judgement, weigh
 from fiohost.discover.screen import Trial, candidates, span_of
+from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import fit
@@ -57,11 +58,14 @@ class _Log:
             "free_run_rms": lambda: weigh(self.record, e).rms,
             "window_rms": lambda: float(np.sqrt(np.mean(w**2))),
             "bin_violation_pct": lambda: weigh(self.record, e).outside_pct or 0.0,
-            "wide_windows_pct": lambda: float(
-                100.0 * np.mean(np.maximum.reduceat(w, edges) - np.minimum.reduceat(w, edges) > WIDE * quantum)
-            ),
+            "wide_windows_pct": lambda: float(100.0 * np.mean(_spans(w, edges) > SEARCH.floor.wide * quantum)),
         }
         return max(((figures[f]() / bound, f) for f, bound in self.bounds.items() if bound > 0), default=(0.0, ""))
+
+
+def _spans(series: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """How far a series (n) goes within each window that begins at ``edges`` (m)."""
+    return np.asarray(np.maximum.reduceat(series, edges) - np.minimum.reduceat(series, edges))
 
 
 class Limits:
@@ -246,4 +250,5 @@ def _groups(effect: Effect, trials: Sequence[Trial], sizes: Sequence[Parameter])
 def detection_limits(stage: Stage, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Limit]:
     """What size of each effect of the library these records would have shown beside the final model."""
     limits = Limits(stage, records)
-    return [limit for found in each(limits.of, candidates(limits.model, records, library)) for limit in found]
+    offered = candidates(limits.model, records, library, span_of(records))
+    return [limit for found in each(limits.of, offered) for limit in found]

@@ -17,7 +17,7 @@ from fiohost.checks.excitation import lacks
 from fiohost.checks.exercised import Exercised
 from fiohost.discover.folds import folds
 from fiohost.discover.metrics import judge, pool
-from fiohost.discover.score import STEP_SHARES
+from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.workers import each
@@ -194,7 +194,7 @@ def fitted_again(rival: Fit, old: np.ndarray, record: Record, start: Start) -> M
         difference = record.y - free_output(record, Flat.of(model), start)
         return float(np.std(difference))
 
-    moved = [rival.model, *(_moved(rival.model, here.names, share * step) for share in STEP_SHARES)]
+    moved = [rival.model, *(_moved(rival.model, here.names, share * step) for share in SEARCH.score.step_shares)]
     return min(moved, key=left)
 
 

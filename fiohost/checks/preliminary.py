@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fiohost.checks.finding import Finding, Skipped
 from fiohost.checks.informative import Informative, inform
 from fiohost.checks.kinematics import check
+from fiohost.checks.repeating import differing
 from fiohost.checks.said import Said
 from fiohost.checks.semantics import Semantics, ask
 from fiohost.estimation.record import Record
@@ -46,6 +47,7 @@ def examine(
     say("checking the raw data")
     records = [*train, *holdout]
     found, skipped = check(records, [said.get(r.name, Said()) for r in records])
+    found = [*found, *differing(records)]
     fitted = [said.get(r.name, Said()) for r in train]
     data = inform(train, fitted, model.effects)
     say("asking what a command means")

@@ -250,16 +250,18 @@ def fit(
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-7,
     lash: bool = True,
+    zeros: bool = True,
 ) -> Fit:
     """Fit the free parameters of a model to records, from the values it has.
 
     ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with (else from the first second);
-    without ``lash`` the motor stays where in its gap these have it. Raises DataError without records.
+    without ``lash`` the motor stays where in its gap these have it, without ``zeros`` a log's own zero is near where
+    they have it. Raises DataError without records.
     """
     if not records:
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
-    given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts)
+    given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts, zeros)
     point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if lash and not windows else 0):
@@ -342,7 +344,8 @@ def unchanged(
     starts: Sequence[Start] | None = None,
     windows: bool = False,
     lash: bool = True,
+    zeros: bool = True,
 ) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records, starts=starts, windows=windows, lash=lash)
+    return fit(frozen, records, starts=starts, windows=windows, lash=lash, zeros=zeros)

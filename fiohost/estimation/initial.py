@@ -97,11 +97,13 @@ def _look_windows(record: Record, y: np.ndarray) -> list[tuple[int, int, float]]
     return found
 
 
-def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: float | None = None) -> float:
+def find_zero(
+    record: Record, flat: Flat, y: np.ndarray | None = None, near: float | None = None, closely: bool = True
+) -> float:
     """Where on the bench's turn a record's zero is, in degrees, from windows whose angle and speed are free.
 
     Looked for all around what repeats with the turn; with ``near`` only there, and where other orders than one of the
-    model's would leave that one as it is. Then along the line: where the shaft sticks, slopes say little.
+    model's would leave that one as it is. Then ``closely`` along the line: where the shaft sticks, slopes say little.
     """
     data = record.y if y is None else y
     windows = _look_windows(record, data)
@@ -125,6 +127,8 @@ def find_zero(record: Record, flat: Flat, y: np.ndarray | None = None, near: flo
     else:
         zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
     best = min(zeros, key=cost) if len(zeros) > 1 else zeros[0]
+    if not closely:
+        return best
     reach = (ZERO_REACH if near is None else ZERO_NEAR) / fastest
     found = minimize_scalar(
         cost,

@@ -28,6 +28,11 @@ BRAKE = 2
 HELD_IN = {"m": "mm", "m/s": "mm/s"}
 
 
+def speed_unit(unit: str) -> str:
+    """The unit of speed that goes with an output's unit."""
+    return unit if unit.endswith("/s") else f"{unit}/s"
+
+
 @dataclass(frozen=True)
 class Record:
     """One log as evidence.

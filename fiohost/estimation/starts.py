@@ -97,12 +97,14 @@ def taken_up_play(flat: Flat, records: Sequence[Record], starts: Sequence[Start]
     return found
 
 
-def with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
-    """The starts with every log's own zero, where it matters and is not known yet or one order left it open."""
+def with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start], looking: bool = True) -> list[Start]:
+    """The starts with every log's own zero, where it matters and is not known yet, or where one order left it open and
+    ``looking`` says that others may not.
+    """
     several = len(set(flat.orders())) > 1
     return [
-        start._replace(zero=find_zero(record, flat, near=start.zero))
-        if has_own_zero(record, flat) and (start.zero is None or several)
+        start._replace(zero=find_zero(record, flat, near=start.zero, closely=start.zero is None))
+        if has_own_zero(record, flat) and (start.zero is None or (looking and several))
         else start
         for record, start in zip(records, starts, strict=True)
     ]

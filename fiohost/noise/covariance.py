@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiohost.motor.compiled import compiled
+from fiohost.motor.compiled import compiled, inlined
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST, DRIVEN, COASTS = 0, 1, 2
@@ -26,15 +26,7 @@ def response(times_s: np.ndarray, moving: np.ndarray, gain: float, tau_s: float,
     """
     n = len(times_s)
     speed, angle = np.zeros((n, n)), np.zeros((n, n))
-    for k, step in enumerate(np.diff(times_s)):
-        angle[k + 1] = angle[k]
-        if moving[k] != REST:
-            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
-            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s
-            angle[k + 1] += goes * speed[k]
-            speed[k + 1] = (1.0 - goes / lag) * speed[k]
-            angle[k + 1, k] += full * (step - goes)
-            speed[k + 1, k] += full * goes / lag
+    _responses(times_s, moving, gain, tau_s, angle, speed)
     return _seen(times_s, angle, speed, kind)
 
 
@@ -47,14 +39,47 @@ def driven_output(
     return _seen(times_s, angle, speed, kind)[:, 0]
 
 
+@inlined
+def _step(step, how, tau_s):  # type: ignore[no-untyped-def]
+    """Lag of a shaft that moves so, and how far one of unit speed goes in a ``step``."""
+    lag = tau_s * (OPEN if how == COASTS else 1.0)
+    return lag, -lag * np.expm1(-step / lag)
+
+
+@compiled
+def _responses(times_s, moving, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+    for k in range(len(times_s) - 1):
+        step = times_s[k + 1] - times_s[k]
+        for i in range(k):
+            angle[k + 1, i] = angle[k, i]
+        if moving[k] != REST:
+            lag, goes = _step(step, moving[k], tau_s)
+            full = gain * lag / tau_s
+            for i in range(k):
+                angle[k + 1, i] += goes * speed[k, i]
+                speed[k + 1, i] = (1.0 - goes / lag) * speed[k, i]
+            angle[k + 1, k] = full * (step - goes)
+            speed[k + 1, k] = full * goes / lag
+
+
+@compiled
+def _follows(times_s, moving, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+    for k in range(len(times_s) - 1):
+        angle[k + 1] = angle[k]
+        if moving[k] != REST:
+            lag, goes = _step(times_s[k + 1] - times_s[k], moving[k], tau_s)
+            angle[k + 1] += goes * speed[k]
+            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+
+
 @compiled
 def _driven(times_s, moving, torque_pct, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
     for k in range(len(times_s) - 1):
         step = times_s[k + 1] - times_s[k]
         angle[k + 1] = angle[k]
         if moving[k] != REST:
-            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
-            goes, full = -lag * np.expm1(-step / lag), gain * lag / tau_s * torque_pct[k]
+            lag, goes = _step(step, moving[k], tau_s)
+            full = gain * lag / tau_s * torque_pct[k]
             angle[k + 1] += goes * speed[k] + full * (step - goes)
             speed[k + 1] = (1.0 - goes / lag) * speed[k] + full * goes / lag
 
@@ -63,13 +88,7 @@ def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> 
     """Columns (n, 1..2) by which the output follows the angle and the speed at the first sample."""
     speed, angle = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
     speed[0] = 1.0
-    for k, step in enumerate(np.diff(times_s)):
-        angle[k + 1] = angle[k]
-        if moving[k] != REST:
-            lag = tau_s * (OPEN if moving[k] == COASTS else 1.0)
-            goes = -lag * np.expm1(-step / lag)
-            angle[k + 1] += goes * speed[k]
-            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+    _follows(times_s, moving, tau_s, angle[:, 0], speed[:, 0])
     by_speed = _seen(times_s, angle, speed, kind)
     if kind == MEAN_SPEED:  # the first was measured before the window began
         return np.column_stack((by_speed, np.arange(len(times_s)) == 0))

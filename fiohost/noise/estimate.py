@@ -48,6 +48,9 @@ class Noise:
         return self.torque_pct.low > 0.0
 
 
+# Directions in which a torque moves the output by less than this share of its largest variance do not count.
+LEAST_DIRECTION = 1e-9
+
 NONE = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0))
 
 
@@ -127,6 +130,16 @@ def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) 
     return free @ vectors, np.maximum(values, 0.0)
 
 
+@lru_cache(maxsize=1024)
+def _counted_part(n: int, tau_s: float, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of pieces of n mean speeds: variances (m) that counts of a unit quantum have along directions (m, m) in which
+    they are apart from each other, in the basis of ``_torque_part``.
+    """
+    basis, _ = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
+    values, vectors = np.linalg.eigh(basis.T @ covariance.counts(n, 1.0, covariance.MEAN_SPEED) @ basis)
+    return np.maximum(values, 0.0), vectors
+
+
 def _rounded(tau_s: float, settings: NoiseSettings) -> float:
     """A lag near enough for the shape of covariances, so that work on them serves for all models of one motor."""
     return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
@@ -144,19 +157,20 @@ def _group_deviances(
         own = sensors**2 + motor.quantum**2 / 12.0 + 1e-300
         variance = own[:, None, None] + torques[None, :, None] ** 2 * torque
         return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=2))
-    # Counts of a mean speed are not white: made so first, with the sensor's noise.
-    found = np.empty((len(sensors), len(torques)))
-    counted = basis.T @ covariance.counts(n, motor.quantum, motor.kind) @ basis
-    for j, sensor in enumerate(sensors):
-        least = 1e-12 * float(np.trace(counted)) + 1e-300
-        root = np.linalg.cholesky(counted + (sensor**2 + least) * np.eye(len(torque)))
-        inverse = np.linalg.inv(root)
-        values, vectors = np.linalg.eigh((inverse * torque) @ inverse.T)
-        squares = np.sum((vectors.T @ inverse @ left) ** 2, axis=1)
-        variance = 1.0 + torques[:, None] ** 2 * np.maximum(values, 0.0)
-        fixed = 2.0 * count * float(np.log(np.diag(root)).sum())
-        found[j] = fixed + np.sum(count * np.log(variance) + squares / variance, axis=1)
-    return found
+    # Counts of a mean speed are not white: in the directions in which they are apart from each other, a torque, which
+    # has few directions that count, is a small correction (Woodbury 1950).
+    spread, apart = _counted_part(n, _rounded(motor.tau_s, settings), motor.step_s, time_s)
+    seen = np.flatnonzero(torque > LEAST_DIRECTION * torque.max())
+    acts, left = apart[seen].T * np.sqrt(torque[seen]), apart.T @ left
+    own = spread * motor.quantum**2 + sensors[:, None] ** 2
+    own += 1e-12 * own.max(axis=1, keepdims=True) + 1e-300
+    weighed = acts.T[None] / own[:, None, :]  # (sensors, directions, m)
+    sizes, along = np.linalg.eigh(weighed @ acts)
+    pulls = np.sum((np.swapaxes(along, 1, 2) @ weighed @ left) ** 2, axis=2)
+    fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)
+    power = torques[None, :, None] ** 2
+    grown = 1.0 + power * np.maximum(sizes, 0.0)[:, None, :]
+    return np.asarray(fixed[:, None] + np.sum(count * np.log(grown) - power / grown * pulls[:, None, :], axis=2))
 
 
 def _deviances(

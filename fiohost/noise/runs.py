@@ -78,21 +78,25 @@ def varied(model: Model, own: np.ndarray) -> Model:
     return changed.with_values({key: float(np.clip(changed.number(key) + own[LOAD], bounds.lower, bounds.upper))})
 
 
-def _deviance(pulls: Sequence[Pull], sd: np.ndarray) -> float:
-    """-2 log restricted likelihood of scatter, the mean over runs free, but for a constant."""
-    total, information, score = 0.0, np.zeros((3, 3)), np.zeros(3)
-    for pull in pulls:
-        inner = np.eye(3) + sd[:, None] * pull.information * sd
-        inverse = np.linalg.inv(inner)
-        scaled = sd * pull.score
-        total += float(np.linalg.slogdet(inner)[1]) - float(scaled @ inverse @ scaled)
-        taken = pull.information * sd @ inverse
-        information += pull.information - taken @ (sd[:, None] * pull.information)
-        score += pull.score - taken @ scaled
-    values, vectors = np.linalg.eigh(information)
-    seen = values > 1e-9 * max(float(values.max()), 1e-300)
-    along = vectors[:, seen].T @ score
-    return total + float(np.log(values[seen]).sum()) - float(np.sum(along**2 / values[seen]))
+def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
+    """-2 log restricted likelihood (looks) of scatters (looks, 3), the mean over runs free, but for a constant."""
+    information = np.array([pull.information for pull in pulls])  # (runs, 3, 3)
+    score = np.array([pull.score for pull in pulls])[:, :, None]
+    rows, columns = sds[:, None, :, None], sds[:, None, None, :]
+    inner = np.eye(3) + rows * information * columns
+    scaled = rows * score
+    inverse = np.linalg.inv(inner)
+    taken = information * columns @ inverse
+    known = np.sum(information - taken @ (rows * information), axis=1)
+    pulled = np.sum(score - taken @ scaled, axis=1)
+    values, vectors = np.linalg.eigh(known)
+    seen = values > 1e-9 * np.maximum(values.max(axis=1, keepdims=True), 1e-300)
+    along = (np.swapaxes(vectors, 1, 2) @ pulled)[:, :, 0]
+    values = np.where(seen, values, 1.0)
+    explained = np.sum(scaled * (inverse @ scaled), axis=(1, 2, 3)) + np.sum(
+        np.where(seen, along**2 / values, 0.0), axis=1
+    )
+    return np.asarray(np.linalg.slogdet(inner)[1].sum(axis=1) + np.log(values).sum(axis=1) - explained)
 
 
 def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
@@ -104,16 +108,17 @@ def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) ->
     sd = np.zeros(3)
 
     def profile(k: int) -> np.ndarray:
-        return np.array([_deviance(parts, np.where(np.arange(3) == k, x, sd)) for x in grids[k]])
+        return _deviances(parts, np.where(np.arange(3) == k, grids[k][:, None], sd))
 
     for _ in range(settings.run_sweeps):
         for k in range(3):
             sd[k] = grids[k][int(np.argmin(profile(k)))]
-    order = np.argsort([_deviance(parts, np.where(np.arange(3) == k, 0.0, sd)) for k in range(3)])
+    order = np.argsort(_deviances(parts, np.where(np.eye(3) > 0.0, 0.0, sd)))
     for k in order.tolist():
-        without = np.where(np.arange(3) == k, 0.0, sd)
-        if _deviance(parts, without) - _deviance(parts, sd) < settings.run_deviance:
-            sd = without
+        less = np.where(np.arange(3) == k, 0.0, sd)
+        without, with_it = _deviances(parts, np.array([less, sd]))
+        if without - with_it < settings.run_deviance:
+            sd = less
     if not sd.any():
         return NO_SCATTER
     ci95 = np.zeros((3, 2))

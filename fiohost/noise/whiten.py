@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from fiohost.noise import covariance
 from fiohost.noise.estimate import Motor, Noise
@@ -83,7 +84,7 @@ def _whitening(
         own = own + acts @ covariance.torque(times_s, noise.torque_s.value) @ acts.T
     own[np.diag_indices(n)] += 1e-9 * float(np.trace(own)) / n + 1e-300
     root = np.linalg.cholesky(own)
-    inverse = np.linalg.inv(root)
+    inverse = solve_triangular(root, np.eye(n), lower=True, check_finite=False)
     starts = covariance.starts(times_s, moving, motor.tau_s, motor.kind)
     columns, triangle = np.linalg.qr(inverse @ starts)
     sizes = np.abs(np.diag(triangle)) / np.maximum(np.abs(np.diag(np.linalg.qr(starts)[1])), 1e-300)
