@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fiohost.advice.outlook import look_ahead
-from fiohost.bench.log import Log
+from fiohost.bench.log import IMPORTED, Log
 from fiohost.checks.said import said_by
 from fiohost.circle.menu import menu
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.errors import DataError
+from fiohost.discover.own_start import SETTINGS as OWN
+from fiohost.errors import ConfigError, DataError
 from fiohost.estimation.record import Record, record_from_log
 from fiohost.motor.model import Model
 
 Source = str | Path | Log
+LONGEST_OWN_S = 3600.0
 
 
 def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
@@ -62,6 +65,7 @@ def diagnose(
     seed: int = 0,
     limits: bool = False,
     tolerance_pct: float = 0.0,
+    own_seconds: float = OWN.seconds,
     say: Callable[[str], None] = lambda text: None,
     announce: Callable[[Sequence[Log], Sequence[Log]], None] = lambda train, held: None,
 ) -> Diagnosis:
@@ -69,9 +73,12 @@ def diagnose(
 
     ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``announce`` is told the
     logs and their roles before anything is fitted, ``say`` hears of progress. ``limits`` also asks how small effects
-    would have been seen where some were found. What is left is as good as nothing where windows
-    of 1 s err by less than ``tolerance_pct`` of the motion in them. Raises FiohostError.
+    would have been seen where some were found. What is left is as good as nothing where windows of 1 s err by less
+    than ``tolerance_pct`` of the motion in them. Of a held-out log the first ``own_seconds`` say what is its own, 0
+    that nothing is. Raises FiohostError.
     """
+    if not 0.0 <= own_seconds <= LONGEST_OWN_S:
+        raise ConfigError(f"own_seconds = {own_seconds:g} is not within 0 to {LONGEST_OWN_S:g} s")
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
     check_roles(train, held)
@@ -89,9 +96,10 @@ def diagnose(
         from_file=declared.given,
         seed=seed,
         tolerance_pct=tolerance_pct,
+        own=replace(OWN, seconds=own_seconds),
         say=say,
         files=files,
         said={name: said_by(log) for log, name in zip([*train, *held], names, strict=True)},
     )
-    another = not any("target" in log.metadata for log in train)
+    another = all(log.metadata.get("target", IMPORTED) == IMPORTED for log in train)
     return look_ahead(found, menu(), limits=limits, library=library, say=say, another_bench=another)

@@ -12,7 +12,8 @@ from fiohost import __version__
 from fiohost.bench.log import Log
 from fiohost.discover.metrics import Errors, judge
 from fiohost.discover.units import LOG_UNIT, STARTS, metres
-from fiohost.estimation.record import record_from_log
+from fiohost.estimation.record import record_from_log, speed_unit
+from fiohost.estimation.seen import seen_of
 from fiohost.files import write_output
 from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
@@ -21,7 +22,7 @@ from fiohost.motor.simulate import Start
 @dataclass(frozen=True)
 class Replay:
     """A free run: times and output (n), the initial state estimated on the first second, the figures against
-    the log.
+    the log; ``beyond`` is where the log leaves what the model was fitted to.
     """
 
     time_s: np.ndarray
@@ -30,18 +31,20 @@ class Replay:
     unit: str
     start: Start
     errors: Errors
+    beyond: tuple[str, ...] = ()
 
 
 def replay(log: Log, model: Model) -> Replay:
     """Simulate a model on the commands of a log. Raises ModelError, DataError."""
     record = record_from_log(log)
     found = judge(record, model.on_axis(record.rotary).with_pwm(record.pwm_hz))
+    beyond = model.seen.beyond(seen_of([record]), speed_unit(record.unit)) if model.seen else []
     y, start, errors = found.simulated, found.start, found.errors
     if record.unit in LOG_UNIT:
         y = y / MM_PER_M
         start = start._replace(**metres({name: getattr(start, name) for name in STARTS}))
         errors = replace(errors, free_run_rms=metres(errors.free_run_rms), window_rms=metres(errors.window_rms))
-    return Replay(log.time_s, y, log.output_name, log.output_unit, start, errors)
+    return Replay(log.time_s, y, log.output_name, log.output_unit, start, errors, tuple(beyond))
 
 
 def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:

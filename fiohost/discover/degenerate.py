@@ -9,7 +9,9 @@ from fiohost.discover.candidate import Candidate
 from fiohost.discover.metrics import pool
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found
+from fiohost.estimation.fit import Fit
 from fiohost.estimation.intervals import Estimate, estimates
+from fiohost.motor.model import Model
 
 CORE = "linear"
 
@@ -24,21 +26,33 @@ class DegenerateSettings:
     floor_above: float = 2.0
     # Errors this close, as a factor, are as they were.
     as_it_was: float = 1.0
+    # Where what remains is no noise, deviance promises too much, and small remains have many takers: there an effect
+    # takes this share of the squared error of windows that was left before it.
+    least_of_rest: float = 0.3
 
 
 SETTINGS = DegenerateSettings()
 
 
-def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTINGS) -> str | None:
-    """Why a fit with effects added is not believed, or None."""
-    known = estimates(after.fit, after.scattered_models)
-    for name, value in known.items():
-        if not name.startswith(f"{CORE}.") or name not in after.fit.names:
+def core_lost(found: Fit, scattered: Sequence[Model] = (), settings: DegenerateSettings = SETTINGS) -> str | None:
+    """Why a fit says nothing of the motor itself, or None: what was added may do what a part of it does.
+
+    ``scattered`` are models fitted to bootstrap samples.
+    """
+    for name, value in estimates(found, scattered).items():
+        if not name.startswith(f"{CORE}.") or name not in found.names:
             continue
         if value.at_bound:
             return f"with it {name} goes to its bound {value.value:g} {value.unit}"
         if _width(value) > settings.widest * abs(value.value):
             return f"with it {name} is anywhere in {value.ci95[0]:.3g}..{value.ci95[1]:.3g} {value.unit}"
+    return None
+
+
+def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTINGS) -> str | None:
+    """Why a fit with effects added is not believed, or None."""
+    if lost := core_lost(after.fit, after.scattered_models, settings):
+        return lost
     was, now = pool([j.errors for j in before.judgements]), pool([j.errors for j in after.judgements])
     floor = pool([f.errors for f in after.floors])
     if was is None or now is None or floor is None:
@@ -50,27 +64,37 @@ def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTI
     return None
 
 
+def _little(before: Stage, after: Stage, settings: DegenerateSettings = SETTINGS) -> str | None:
+    """Why an effect beside which something else is missing is not believed, or None."""
+    was, now = pool([j.errors for j in before.judgements]), pool([j.errors for j in after.judgements])
+    if was is None or now is None:
+        return None
+    share = 1.0 - (now.window_rms / was.window_rms) ** 2
+    if share >= settings.least_of_rest:
+        return None
+    return f"removes {100 * max(share, 0.0):.0f} % of what was left in windows, and what remains is no noise"
+
+
 def _width(value: Estimate) -> float:
     return value.ci95[1] - value.ci95[0]
 
 
 def believed(found: Found, hidden: Mapping[str, str]) -> Found:
-    """The outcome of a search, or that of the declared model alone where its fit with effects is degenerate, or leaves
-    something with an effect that the logs cannot show; ``hidden`` says why they cannot.
+    """The outcome of a search as far as its fits are believed: without what was added last where it is degenerate, or
+    leaves something with an effect that the logs cannot show; ``hidden`` says why they cannot.
     """
-    if not found.steps:
-        return found
-    why = degenerate(found.stages[0], found.final)
-    unseen = [hidden[s.effect] for s in found.steps if s.effect in hidden]
-    if why is None and unseen and not found.final.follows:
-        why = f"these logs cannot show it: {unseen[0]}"
-    if why is None:
-        return found
-    back = _taken_back(found, why)
-    return Found(found.stages[:1], (), tuple(back), found.one_clock, found.noise, False)
-
-
-def _taken_back(found: Found, why: str) -> Sequence[Candidate]:
-    names = [s.effect for s in found.steps]
-    taken = [Candidate(s.effect, float(str(s.evidence["residual_power_removed"])), why) for s in found.steps]
-    return [*taken, *(c for c in found.offered if c.effect not in names)]
+    while found.steps:
+        why = degenerate(found.stages[0], found.final)
+        unseen = [hidden[s.effect] for s in found.steps if s.effect in hidden]
+        if why is None and unseen and not found.final.follows:
+            why = f"these logs cannot show it: {unseen[0]}"
+        last, kept = found.steps[-1], found.steps[:-1]
+        if why is None and found.noise is not None and not found.white:
+            why = _little(kept[-1].stage if kept else found.stages[0], found.final)
+        if why is None:
+            break
+        back = Candidate(last.effect, float(str(last.evidence["residual_power_removed"])), why)
+        offered = [back, *(c for c in found.offered if c.effect != last.effect)]
+        stages = (found.stages[0], kept[-1].stage) if kept else found.stages[:1]
+        found = Found(stages, kept, tuple(offered), found.one_clock, found.noise, False)
+    return found

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,14 +21,18 @@ from fiohost.discover.floor import Floor, floors
 from fiohost.discover.ladder import in_sequence, searched
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
 from fiohost.discover.missing_torque import Dependence, ForceCurve, dependences, force_curves
+from fiohost.discover.own_start import SETTINGS as OWN
+from fiohost.discover.own_start import OwnSettings, OwnStart, own_starts
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
+from fiohost.discover.unnamed import Unnamed, with_curves
 from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
-from fiohost.estimation.record import ANGLE, Record, pwm_of, with_bench_zero
+from fiohost.estimation.record import ANGLE, Record, pwm_of, speed_unit, with_bench_zero
+from fiohost.estimation.seen import seen_of
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 
@@ -57,6 +61,9 @@ class Diagnosis:
     curves: tuple[ForceCurve, ...] = ()
     white: bool = False
     tolerance_pct: float = 0.0
+    unnamed: Unnamed | None = None
+    own_starts: tuple[OwnStart | None, ...] = ()
+    own_settings: OwnSettings = OWN
 
     @property
     def tolerable(self) -> bool:
@@ -66,6 +73,18 @@ class Diagnosis:
     @property
     def final(self) -> Stage:
         return self.steps[-1].stage if self.steps else self.declared
+
+    @property
+    def in_hand(self) -> Model:
+        """The best usable model: the final one, curves of no name in it where something stays unexplained."""
+        return replace(self.unnamed.model if self.unnamed else self.final.fit.model, seen=seen_of(self.train))
+
+    @property
+    def extrapolates(self) -> dict[str, list[str]]:
+        """By held-out record, where it goes beyond what the training records went through."""
+        seen = seen_of(self.train)
+        beyond = {r.name: seen.beyond(seen_of([r]), speed_unit(r.unit)) for r in self.holdout}
+        return {name: parts for name, parts in beyond.items() if parts}
 
     @property
     def verdict(self) -> str:
@@ -119,14 +138,16 @@ def diagnose_records(
     from_file: bool = False,
     seed: int = 0,
     tolerance_pct: float = 0.0,
+    own: OwnSettings = OWN,
     say: Progress = lambda text: None,
     files: dict[str, dict[str, str]] | None = None,
     said: Mapping[str, Said] | None = None,
 ) -> Diagnosis:
     """Diagnose a declared model on training records; held-out records report only.
 
-    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``say`` hears of progress; ``said`` is what
-    logs say beside their records, by name. Raises DataError if the records do not share one output or there are none.
+    ``library`` restricts the candidates, ``seed`` fixes the replicas, ``own`` says what is taken from the beginning of
+    held-out records, ``say`` hears of progress; ``said`` is what logs say beside their records, by name. Raises
+    DataError if the records do not share one output or there are none.
     """
     if not train:
         raise DataError("there is no log to fit")
@@ -136,7 +157,9 @@ def diagnose_records(
     train, model = with_bench_zero(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _diagnose(train, holdout, model, library, from_file, seed, tolerance_pct, say, files or {}, said or {})
+        return _diagnose(
+            train, holdout, model, library, from_file, seed, tolerance_pct, own, say, files or {}, said or {}
+        )
 
 
 def _diagnose(
@@ -147,6 +170,7 @@ def _diagnose(
     from_file: bool,
     seed: int,
     tolerance_pct: float,
+    own: OwnSettings,
     say: Progress,
     files: dict[str, dict[str, str]],
     said: Mapping[str, Said],
@@ -168,7 +192,11 @@ def _diagnose(
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
     left = dependences(train, final, stage.judgements, rng)
     lacked = dependences(train, declared.fit.model, declared.judgements, rng) if steps else left
-    return Diagnosis(
+    noise = found.noise or noise_of(final, [j.start for j in stage.judgements], train)
+    window_rms = max(e.window_rms if (e := pooled(stage.judgements)) else 0.0, 1e-12)
+    diagnosis = Diagnosis(
+        own_starts=tuple(own_starts(holdout, final, window_rms, noise.runs, own)),
+        own_settings=own,
         curves=tuple(force_curves(lacked, left)),
         tolerance_pct=tolerance_pct,
         declared=declared,
@@ -185,10 +213,15 @@ def _diagnose(
         seconds=time.monotonic() - began,
         files=files,
         one_clock=found.one_clock,
-        noise=found.noise or noise_of(final, [j.start for j in stage.judgements], train),
+        noise=noise,
         noise_decided=found.noise is not None,
         white=found.white if found.noise else looks_white(stage, train),
     )
+    if diagnosis.verdict != "unexplained":
+        return diagnosis
+    say("describing by curves what no name explains")
+    curves = with_curves(final, train)
+    return replace(diagnosis, unnamed=curves, seconds=time.monotonic() - began)
 
 
 def pooled(judgements: Sequence[Judgement]) -> Errors | None:

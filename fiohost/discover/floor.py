@@ -10,10 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool, quantise
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.predict import Flat, errors, free_output, free_states
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
+from fiohost.estimation.repeats import repeats
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -23,12 +25,7 @@ from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import varied
 
-REPLICAS = 32
-# Drawn in addition where a figure stands just above the first: a tail is not known from so few.
-MORE_REPLICAS = 160
-# The angle within its count is known to between so much and so much at best; a free run this far beyond one count
-# says nothing.
-LEAST_ROOM_COUNTS, LOST_COUNTS = (0.002, 0.05), 0.5
+FLOOR = SETTINGS.floor
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
     random would do. Where the model is too far off to say, any angle within the count is possible.
     """
     count = record.quantum
-    if float(np.ptp(residual)) > (1.0 + 2.0 * LOST_COUNTS) * count:
+    if float(np.ptp(residual)) > (1.0 + 2.0 * FLOOR.lost_counts) * count:
         return -0.5 * count, 0.5 * count
     above, below = np.sort(residual - 0.5 * count), np.sort(residual + 0.5 * count)
     # Between two neighbouring bounds the number of readings that contradict does not change.
@@ -75,7 +72,7 @@ def _shift(record: Record, residual: np.ndarray | None, rng: np.random.Generator
     if residual is None:
         return float(rng.uniform(-0.5, 0.5)) * record.quantum
     low, high = within_count(record, residual)
-    least = record.quantum * float(np.exp(rng.uniform(*np.log(LEAST_ROOM_COUNTS))))
+    least = record.quantum * float(np.exp(rng.uniform(*np.log(FLOOR.least_room_counts))))
     return 0.5 * (low + high) + float(rng.uniform(-1.0, 1.0)) * max(0.5 * (high - low), least)
 
 
@@ -163,7 +160,12 @@ def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
 
 
 def replica_models(
-    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, count: int = REPLICAS, *, anywhere: bool = False
+    fitted: Fit,
+    records: Sequence[Record],
+    rng: np.random.Generator,
+    count: int = FLOOR.replicas,
+    *,
+    anywhere: bool = False,
 ) -> list[Model]:
     """Models (count) as they would be fitted to replicas of the records that were fitted.
 
@@ -195,16 +197,6 @@ def replica_floor(
     none = np.empty(0)
     slim = tuple(replace(d, simulated=none, free_residual=none, window_residual=none) for d in draws)
     return Floor(_mean([d.errors for d in draws]), "replicas", slim)
-
-
-def repeats(records: Sequence[Record]) -> list[list[int]]:
-    """Groups (two or more indices) of records whose commands are identical."""
-    groups: dict[bytes, list[int]] = {}
-    for i, record in enumerate(records):
-        ex = record.excitation
-        key = ex.duties_pct.tobytes() + ex.modes.tobytes() + np.round(ex.times_s, 6).tobytes()
-        groups.setdefault(key, []).append(i)
-    return [g for g in groups.values() if len(g) > 1]
 
 
 def _detrended(values: np.ndarray, edges: np.ndarray) -> np.ndarray:

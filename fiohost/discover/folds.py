@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.floor import repeats
 from fiohost.errors import DataError
 from fiohost.estimation.record import SHORTEST, Record, make_record
+from fiohost.estimation.repeats import repeats
 
 # Edges move by a quarter of a piece at most: so two pieces, and more of twice the shortest, are long enough.
 SHORTEST_CUT = 3 * SHORTEST
@@ -17,34 +17,35 @@ SHORTEST_CUT = 3 * SHORTEST
 
 def slices(record: Record, pieces: int) -> list[Record]:
     """A record cut into consecutive pieces, each with an initial state of its own."""
-    ex = record.excitation
-    edges = _quiet_edges(ex.duties_pct[1:], pieces)
-    delay = float(ex.act_times_s[0] - ex.times_s[0])
-    found = []
-    for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-        piece = make_record(
-            f"{record.name} [{i + 1}/{pieces}]",
-            ex.times_s[a:b],
-            ex.duties_pct[1:][a:b],
-            record.y[a:b],
-            mode=ex.modes[1:][a:b],
-            kind=record.kind,
-            unit=record.unit,
-            quantum=record.quantum,
-            sample_time_s=record.sample_time_s,
-            command_delay_s=delay,
-            rotary=record.rotary,
-            clock_s=ex.clock_s + float(ex.times_s[a]),
-            own_zero=record.own_zero,
-            segments=record.segments[a:b],
-        )
-        if a > 0:
-            duties = piece.excitation.duties_pct.copy()
-            modes = piece.excitation.modes.copy()
-            duties[0], modes[0] = ex.duties_pct[a], ex.modes[a]
-            piece = replace(piece, at_rest=False, excitation=replace(piece.excitation, duties_pct=duties, modes=modes))
-        found.append(piece)
-    return found
+    edges = _quiet_edges(record.excitation.duties_pct[1:], pieces)
+    pairs = zip(edges[:-1], edges[1:], strict=True)
+    return [piece(record, a, b, f"{record.name} [{i + 1}/{pieces}]") for i, (a, b) in enumerate(pairs)]
+
+
+def piece(record: Record, first: int, end: int, name: str) -> Record:
+    """The samples of a record from ``first`` up to ``end``, with an initial state of their own."""
+    ex, a, b = record.excitation, first, end
+    found = make_record(
+        name,
+        ex.times_s[a:b],
+        ex.duties_pct[1:][a:b],
+        record.y[a:b],
+        mode=ex.modes[1:][a:b],
+        kind=record.kind,
+        unit=record.unit,
+        quantum=record.quantum,
+        sample_time_s=record.sample_time_s,
+        command_delay_s=float(ex.act_times_s[0] - ex.times_s[0]),
+        rotary=record.rotary,
+        clock_s=ex.clock_s + float(ex.times_s[a]),
+        own_zero=record.own_zero,
+        segments=record.segments[a:b],
+    )
+    if a == 0:
+        return found
+    duties, modes = found.excitation.duties_pct.copy(), found.excitation.modes.copy()
+    duties[0], modes[0] = ex.duties_pct[a], ex.modes[a]
+    return replace(found, at_rest=False, excitation=replace(found.excitation, duties_pct=duties, modes=modes))
 
 
 def _quiet_edges(duties_pct: np.ndarray, pieces: int) -> list[int]:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.predict import Flat, free_states, read, window_residuals
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
-WIDE = 1.15
+FLOOR = SETTINGS.floor
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _wide_windows(record: Record, residual: np.ndarray) -> float | None:
     if record.kind != ANGLE or record.quantum <= 0:
         return None
     spans = [float(np.ptp(residual[a:b])) for a, b in zip(record.windows[:-1], record.windows[1:], strict=True)]
-    return 100.0 * float(np.mean(np.array(spans) > WIDE * record.quantum))
+    return 100.0 * float(np.mean(np.array(spans) > FLOOR.wide * record.quantum))
 
 
 def judge(record: Record, model: Model, y: np.ndarray | None = None, *, near: Start | None = None) -> Judgement:

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.discover.metrics import Judgement
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.compiled import compiled
 from fiohost.motor.model import Model
 
-SHIFTS = 200
-BINS = 16
+TORQUE = SETTINGS.missing_torque
 
 
 @compiled
@@ -181,14 +181,16 @@ def _bins(values: np.ndarray, name: str) -> np.ndarray:
     if name == "speed_sign":
         return np.asarray(values.astype(int) + 1)
     edges = (
-        np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1]) if name != "angle" else np.arange(1, BINS) * 360 / BINS
+        np.quantile(values, np.linspace(0, 1, TORQUE.bins + 1)[1:-1])
+        if name != "angle"
+        else np.arange(1, TORQUE.bins) * 360 / TORQUE.bins
     )
     return np.asarray(np.digitize(values, np.unique(edges)))
 
 
 def _explained(torque: np.ndarray, bins: np.ndarray, weight: float) -> float:
-    count = np.bincount(bins, minlength=BINS + 1)
-    sums = np.bincount(bins, weights=torque, minlength=BINS + 1)
+    count = np.bincount(bins, minlength=TORQUE.bins + 1)
+    sums = np.bincount(bins, weights=torque, minlength=TORQUE.bins + 1)
     return float(np.sum(sums[count > 0] ** 2 / count[count > 0]) / weight) if weight > 0 else 0.0
 
 
@@ -208,7 +210,7 @@ def dependences(
     weight = float(torque @ torque)
     lengths = np.cumsum([0] + [len(t) for t, _ in parts])
     alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in zip(records, judgements, strict=True)])
-    own_bins = np.repeat(BINS * alone * np.diff(alone, prepend=0), np.diff(lengths))
+    own_bins = np.repeat(TORQUE.bins * alone * np.diff(alone, prepend=0), np.diff(lengths))
     found = []
     for name in ("angle", "speed", "speed_sign", "duty", "time"):
         if any(name not in v for _, v in parts):
@@ -217,7 +219,7 @@ def dependences(
         bins = _bins(values, name) + (own_bins if name == "angle" else 0)
         r2 = _explained(torque, bins, weight)
         chance = []
-        for _ in range(SHIFTS):
+        for _ in range(TORQUE.shifts):
             shifted = np.concatenate(
                 [
                     np.roll(torque[a:b], rng.integers(b - a)) * rng.choice((-1.0, 1.0))
@@ -225,7 +227,7 @@ def dependences(
                 ]
             )
             chance.append(_explained(shifted, bins, weight))
-        shown = range(min(bins.max() + 1, BINS))
+        shown = range(min(bins.max() + 1, TORQUE.bins))
         means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
         centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
         found.append(Dependence(name, r2, float(np.quantile(chance, 0.99)), centres, means))

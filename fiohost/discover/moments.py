@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from fiohost.discover.screen import span_of
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
@@ -20,11 +21,7 @@ from fiohost.motor.effect import Effect, Parameter
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
-SMALL_CHANGE = 0.02
-# A moment is looked for between the windows on either side of it, so many places at a time, ever closer.
-REACH_S, LOOKS, CLOSER, ROUNDS = 1.5, 24, 8.0, 3
-LIKELY = 2
-LEAST_RATIO, MOST_RATIO = 0.2, 5.0
+MOMENTS = SETTINGS.moments
 
 
 def moment_of(effect: Effect) -> Parameter | None:
@@ -43,22 +40,22 @@ def fit_event(base: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
     all_windows = [replace(r, every=1) for r in records]
     near = fit(base.model, all_windows, windows=True, max_iterations=12, tolerance=1e-3)
     found = [_held(m, key, all_windows) for m in _suggested(near, effect, moment, all_windows)]
-    likely = sorted(found, key=lambda f: f.cost)[:LIKELY]
+    likely = sorted(found, key=lambda f: f.cost)[: MOMENTS.likely]
     best = min((_closer(f, key, all_windows) for f in likely), key=lambda f: f.cost)
     return fit(best.model, records, windows=base.windows, max_iterations=12, tolerance=1e-3)
 
 
 def _closer(best: Fit, key: str, records: Sequence[Record]) -> Fit:
     """Windows fitted with the moment where it is, then with the moment where they fit best, ever closer."""
-    reach = REACH_S
-    for _ in range(ROUNDS):
+    reach = MOMENTS.reach_s
+    for _ in range(MOMENTS.rounds):
         parameter, centre = best.model.parameter(key), best.model.number(key)
-        places = np.clip(centre + reach * np.linspace(-1.0, 1.0, LOOKS), parameter.lower, parameter.upper)
+        places = np.clip(centre + reach * np.linspace(-1.0, 1.0, MOMENTS.looks), parameter.lower, parameter.upper)
         models = [best.model.with_values({key: float(t)}) for t in places]
         near = [(_around(r, centre, reach), s) for r, s in zip(records, best.starts, strict=True)]
         costs = [sum(_window_cost(m, s, r) for r, s in near if r is not None) for m in models]
         best = min((best, _held(models[int(np.argmin(costs))], key, records)), key=lambda f: f.cost)
-        reach /= CLOSER
+        reach /= MOMENTS.closer
     return best
 
 
@@ -97,10 +94,10 @@ def _suggested(near: Fit, effect: Effect, moment: Parameter, records: Sequence[R
     changes = []
     for which in choice.choices:
         changed = near.model.with_effect(
-            effect.name, {moment.name: begin, choice.name: which, ratio.name: 1.0 + SMALL_CHANGE}
+            effect.name, {moment.name: begin, choice.name: which, ratio.name: 1.0 + MOMENTS.small_change}
         )
         after = _windows_of(changed, near, records)
-        changes.append([(a - b) / SMALL_CHANGE for a, b in zip(near.residuals, after, strict=True)])
+        changes.append([(a - b) / MOMENTS.small_change for a, b in zip(near.residuals, after, strict=True)])
     own = len(near.names)
     times: list[float] = []
     grams: list[np.ndarray] = []
@@ -115,7 +112,7 @@ def _suggested(near: Fit, effect: Effect, moment: Parameter, records: Sequence[R
     for n, which in enumerate(choice.choices):
         gains = [_explained(since[0], later, own, own + n) for later in since]
         best = int(np.argmax([gain for gain, _ in gains]))
-        size = float(np.clip(1.0 + gains[best][1], LEAST_RATIO, MOST_RATIO))
+        size = float(np.clip(1.0 + gains[best][1], MOMENTS.least_ratio, MOMENTS.most_ratio))
         trial = {moment.name: times[order[best]], choice.name: which, ratio.name: size}
         models.append(near.model.with_effect(effect.name, trial))
     return models

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.discover.objective import Objective, State
-from fiohost.discover.screen import RESOLUTION_S, Score, Screen, powers
+from fiohost.discover.screen import Score, Screen, powers
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
 from fiohost.noise.whiten import unevenness
@@ -43,7 +43,7 @@ def draw_null(
     ends = np.cumsum([d.basis.shape[1] for d in directions])
     edges = [r.windows for r in state.records]
     # The screen takes samples together: its powers are by so much below squared errors.
-    block = float(np.mean([max(1, round(RESOLUTION_S / r.sample_time_s)) for r in state.records]))
+    block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in state.records]))
 
     def draw(rng: np.random.Generator) -> tuple[float, float]:
         errors = objective.draw(state, rng)
@@ -56,4 +56,5 @@ def draw_null(
     drawn = each(draw, rng.spawn(settings.draws))
     best = np.array([gain for gain, _ in drawn])
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
+    level = max(level, screen.by_lines)
     return Null(level, tuple(uneven for _, uneven in drawn))

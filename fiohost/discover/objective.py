@@ -27,7 +27,7 @@ from fiohost.noise.estimate import Noise
 @dataclass(frozen=True)
 class State:
     """A fitted structure: its ``records`` as they were fitted, ``deviance``, the ``noise`` that it leaves in windows
-    and how the shaft moves there (``moving``, n each).
+    and how the shaft moves there (``moving``, n each). ``bare`` is its fit to windows as they are.
     """
 
     fit: Fit
@@ -35,6 +35,7 @@ class State:
     deviance: float
     noise: Noise | None = None
     moving: tuple[np.ndarray, ...] = ()
+    bare: Fit | None = None
 
     @property
     def price(self) -> float:
@@ -122,11 +123,12 @@ class Windows(Objective):
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         found = settle(fitted.model, self.records, fitted.starts, self._moving, bare_first=not whitened)
         self._moving = found.moving
-        return State(found.fit, found.records, found.deviance, found.noise, found.moving)
+        return State(found.fit, found.records, found.deviance, found.noise, found.moving, found.bare)
 
     def screens(self, state: State) -> list[Screen]:
         # Where much is missing the noise takes up what an effect would explain: windows as they are are asked too.
-        return [Screen(state.fit, state.records), Screen(self._fitted(state.fit, self.bare), self.bare)]
+        bare = Screen(self._fitted(state.fit, self.bare), self.bare)
+        return [Screen(state.fit, state.records, bare.span.lines_hz), bare]
 
     def under(self, state: State, other: State) -> Fit:
         return self._fitted(state.fit, other.records)
@@ -140,4 +142,6 @@ class Windows(Objective):
 
     @staticmethod
     def _fitted(found: Fit, records: Sequence[Record]) -> Fit:
-        return fit(found.model, records, windows=True, starts=found.starts, max_iterations=12, tolerance=1e-5)
+        return fit(
+            found.model, records, windows=True, starts=found.starts, max_iterations=12, tolerance=1e-5, zeros=False
+        )

@@ -8,6 +8,7 @@ import numpy as np
 
 from fiohost.discover.folds import slices
 from fiohost.discover.screen import Score, Trial
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
 from fiohost.estimation.initial import guessed_warmth
@@ -18,29 +19,10 @@ from fiohost.motor.effect import Effect, Parameter
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
-STARTS, RAW_STARTS, WINDOW_STARTS = 4, 2, 3
-ANEW_STARTS = 2
-ANEW_S, ANEW_LEAST_S = 60.0, 4.0  # of all logs together, of each log
-ANEW_LAG_S = 0.1
-# Where to look along a ragged parameter, as factors on its value; a moment is moved by their logarithms times MOMENT_S.
-COARSE = np.geomspace(0.2, 5.0, 20)
-FINE = np.geomspace(0.85, 1.18, 16)
-FINEST = np.geomspace(0.98, 1.02, 16)
-MOMENT_S = 2.0
-# The fine search goes on from where it came to while it pays.
-SEARCHED_AGAIN, STILL_BETTER = 3, 0.99
-# Another choice is searched where it comes this close, from these multiples of the size.
-ANOTHER_CHOICE, CHOICE_SIZES = 2.0, (1.0, -1.0, 0.5, -0.5, 2.0, -2.0)
-# A tolerance to which windows are fitted along their tangent.
-NEAR_ENOUGH = 1e-4
-# Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
-FLAT, FIRST_STEP, DOUBLINGS, HALVINGS = 1e-4, 1e-3, 10, 5
-LOOKS, NUDGES = 48, 4
 # A tolerance within which no step is worth taking.
 ENDLESS = 1e30
-# How far around each parameter a stuck fit is begun again, as factors on it, and how often at most.
-AROUND = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 1.005, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
-BEGUN_AGAIN = 3
+
+OPTIMISER = SETTINGS.optimiser
 
 
 def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
@@ -70,6 +52,7 @@ def again(
     found: Fit, model: Model, records: Sequence[Record], max_iterations: int = 40, tolerance: float = 1e-7
 ) -> Fit:
     """A model fitted to what another was fitted to, from that one's starts."""
+    other = set(Flat.of(model).orders()) - set(Flat.of(found.model).orders())
     return fit(
         model,
         records,
@@ -77,6 +60,7 @@ def again(
         starts=_starts(found, model, records),
         max_iterations=max_iterations,
         tolerance=tolerance,
+        zeros=bool(other),  # an order that is new may have left the logs' own zeros open
     )
 
 
@@ -89,18 +73,18 @@ def _cost(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fals
     """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
     ``lash`` is to be taken up anew.
     """
-    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash).cost
+    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash, zeros=False).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     """The base model with one effect added: the best of a few steps from each of its best trials."""
     if base.windows:  # nearly convex, and dearer: fewer starts will do
         trials = [*score.trials[:1], *score.raw[:1], *score.trials[1:]]
-        trials = [t for i, t in enumerate(trials) if t not in trials[:i]][:WINDOW_STARTS]
+        trials = [t for i, t in enumerate(trials) if t not in trials[:i]][: OPTIMISER.window_starts]
     else:
-        trials = [*score.trials[:STARTS]]
+        trials = [*score.trials[: OPTIMISER.starts]]
         looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
-        trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[:RAW_STARTS]]
+        trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[: OPTIMISER.raw_starts]]
     first = base.model.with_effect(score.effect.name, trials[0])
     starts = _starts(base, first, records)
     rough = [_from(base, base.model.with_effect(score.effect.name, t), starts, records) for t in trials]
@@ -114,18 +98,20 @@ def _from(base: Fit, model: Model, starts: Sequence[Start], records: Sequence[Re
 def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     """As ``rough_fit``, but not from the base's values: those of a model that fits nothing lead nowhere."""
 
-    share = max(ANEW_S / len(records), ANEW_LEAST_S)
+    share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
     parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
 
     def attempt(trial: Trial) -> Fit:
         guess = first_guess(base.model.with_effect(score.effect.name, trial), records)
-        guess = guess.with_values({"linear.tau_s": ANEW_LAG_S})
+        guess = guess.with_values({"linear.tau_s": OPTIMISER.anew_lag_s})
         near = fit(guess, parts, windows=True, max_iterations=12, tolerance=1e-2)
         return fit(near.model, records, max_iterations=8, tolerance=1e-3)
 
     trials = score.trials[:1]
     if score.raw:
-        trials = tuple(sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[:ANEW_STARTS])
+        trials = tuple(
+            sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[: OPTIMISER.anew_starts]
+        )
     return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
@@ -133,12 +119,12 @@ def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], far_rms: flo
     """A rough fit carried to its minimum, along the effect's ragged parameters and through its choices too; of windows,
     as near to it as their tangent leads (``finished``). What stays beyond ``far_rms`` is not searched finely.
     """
-    direct = again(rough, rough.model, records, 25, NEAR_ENOUGH if rough.windows else 1e-6)
+    direct = again(rough, rough.model, records, 25, OPTIMISER.near_enough if rough.windows else 1e-6)
     if direct.windows and effect.once:
         return direct  # its moment and what changed were looked for in all windows
     best = _thoroughly(direct, effect, records, far_rms)
     others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters for c in p.choices]
-    near = [f for f in others if f is not best and f.cost < ANOTHER_CHOICE * best.cost]
+    near = [f for f in others if f is not best and f.cost < OPTIMISER.another_choice * best.cost]
     return min((best, *(_thoroughly(f, effect, records, far_rms) for f in near)), key=lambda f: f.cost)
 
 
@@ -156,16 +142,16 @@ def _thoroughly(best: Fit, effect: Effect, records: Sequence[Record], far_rms: f
             continue
         key, was = f"{effect.name}.{parameter.name}", np.inf
         if best.windows:
-            best = _searched(best, key, records, (COARSE, FINE))
+            best = _searched(best, key, records, (OPTIMISER.coarse, OPTIMISER.fine))
             continue
-        best = _searched(best, key, records, (COARSE,))
+        best = _searched(best, key, records, (OPTIMISER.coarse,))
         if best.rms > far_rms:
             continue
-        best = _searched(best, key, records, (FINE, FINEST))
-        for _ in range(SEARCHED_AGAIN):
-            if best.cost > STILL_BETTER * was:
+        best = _searched(best, key, records, (OPTIMISER.fine, OPTIMISER.finest))
+        for _ in range(OPTIMISER.searched_again):
+            if best.cost > OPTIMISER.still_better * was:
                 break
-            was, best = best.cost, _searched(best, key, records, (FINE, FINEST))
+            was, best = best.cost, _searched(best, key, records, (OPTIMISER.fine, OPTIMISER.finest))
     return best
 
 
@@ -180,7 +166,7 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
     changed, models = found.model.with_values({key: choice}), []
     for size in (p for p in effect.parameters if p.neutral is not None and p.is_smooth):
         name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
-        grown = [neutral + k * (found.model.number(name) - neutral) for k in CHOICE_SIZES]
+        grown = [neutral + k * (found.model.number(name) - neutral) for k in OPTIMISER.choice_sizes]
         models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
     costs = [_cost(found, m, records, lash=True) for m in models]
     if not models:
@@ -190,28 +176,29 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
 
 def searched_again(found: Fit, records: Sequence[Record]) -> Fit:
     """A model with its ragged parameters searched once more: what was added since may have moved them."""
-    for _ in range(SEARCHED_AGAIN):
+    for _ in range(OPTIMISER.searched_again):
         was = found.cost
         for key in found.names:
             if found.model.parameter(key).ragged:
-                found = _searched(found, key, records, (FINE, FINEST))
-        if found.cost > STILL_BETTER * was:
+                found = _searched(found, key, records, (OPTIMISER.fine, OPTIMISER.finest))
+        if found.cost > OPTIMISER.still_better * was:
             break
     return found
 
 
-def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[np.ndarray]) -> Fit:
+def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[tuple[float, float, int]]) -> Fit:
     """The best of fits from points along one parameter, coarse then fine, the others fitted anew from the best
     points.
     """
     parameter = found.model.parameter(key)
-    for factors in scales:
+    for scale in scales:
+        factors = np.geomspace(*scale)
         centre = found.model.number(key)
-        points = [centre * f if parameter.neutral == 0.0 else centre + MOMENT_S * np.log(f) for f in factors]
+        points = [centre * f if parameter.neutral == 0.0 else centre + OPTIMISER.moment_s * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
         costs = [_cost(found, m, records) for m in models]
         near = [models[i] for i in np.argsort(costs)[:2]]
-        fits = [again(found, m, records, 12, NEAR_ENOUGH if found.windows else 1e-5) for m in near]
+        fits = [again(found, m, records, 12, OPTIMISER.near_enough if found.windows else 1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
     return _centred(found, key, records)
 
@@ -226,15 +213,15 @@ def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     def same(value: float) -> bool:
         inside = parameter.lower <= value <= parameter.upper
         moved = found.model.with_values({key: value}) if inside else found.model
-        return inside and _cost(found, moved, records) <= found.cost * (1.0 + FLAT)
+        return inside and _cost(found, moved, records) <= found.cost * (1.0 + OPTIMISER.flat)
 
     def edge(way: float) -> float:
-        near, step = centre, way * max(abs(centre), 1e-3) * FIRST_STEP
-        for _ in range(DOUBLINGS):
+        near, step = centre, way * max(abs(centre), 1e-3) * OPTIMISER.first_step
+        for _ in range(OPTIMISER.doublings):
             if not same(near + step):
                 break
             near, step = near + step, 2.0 * step
-        for _ in range(HALVINGS):
+        for _ in range(OPTIMISER.halvings):
             step *= 0.5
             near = near + step if same(near + step) else near
         return near
@@ -243,7 +230,7 @@ def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     if middle == centre:
         return found
     moved = again(found, found.model.with_values({key: middle}), records, 2, 1e-7)
-    return moved if moved.cost <= found.cost * (1.0 + FLAT) else found
+    return moved if moved.cost <= found.cost * (1.0 + OPTIMISER.flat) else found
 
 
 def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
@@ -263,16 +250,16 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
     centre = np.array([found.model.number(n) for n in names])
 
     def moved(draw: int) -> Model:
-        point = centre + (0.5 + 3.0 * draw / LOOKS) * spread @ rng.standard_normal(len(names))
+        point = centre + (0.5 + 3.0 * draw / OPTIMISER.looks) * spread @ rng.standard_normal(len(names))
         inside = [float(np.clip(v, q.lower, q.upper)) for v, q in zip(point, parameters, strict=True)]
         return found.model.with_values(dict(zip(names, inside, strict=True)))
 
     def cost(model: Model) -> float:
         return _cost(found, model, records)
 
-    looked = [moved(draw) for draw in range(LOOKS)]
+    looked = [moved(draw) for draw in range(OPTIMISER.looks)]
     costs = each(cost, looked)
-    best = [looked[i] for i in np.argsort(costs)[:NUDGES]]
+    best = [looked[i] for i in np.argsort(costs)[: OPTIMISER.nudges]]
     nudged = each(lambda m: again(found, m, records, 12, 1e-7), best)
     return min((found, *nudged), key=lambda f: f.cost)
 
@@ -283,12 +270,12 @@ def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> 
     Beside ledges the covariance says nothing of how far off a parameter is: a few logs, mostly at rest, are followed
     closely by friction and gain that are off by percents together.
     """
-    for _ in range(BEGUN_AGAIN):
+    for _ in range(OPTIMISER.begun_again):
         was = found.cost
         for name in found.names:
             found = _begun_around(found, name, records)
         found = polish(found, records, rng)
-        if found.cost > STILL_BETTER * was:
+        if found.cost > OPTIMISER.still_better * was:
             break
     return found
 
@@ -296,7 +283,7 @@ def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> 
 def _begun_around(found: Fit, name: str, records: Sequence[Record]) -> Fit:
     """The best of fits begun with one parameter moved."""
     parameter, value = found.model.parameter(name), found.model.number(name)
-    points = [float(np.clip(k * value, parameter.lower, parameter.upper)) for k in AROUND]
+    points = [float(np.clip(k * value, parameter.lower, parameter.upper)) for k in OPTIMISER.around]
     models = [found.model.with_values({name: v}) for v in dict.fromkeys(points)]
     rough = each(lambda m: again(found, m, records, 6, 1e-2), models)
     best = min(rough, key=lambda f: f.cost)

@@ -8,8 +8,8 @@ from typing import Any
 
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
-from fiohost.discover.floor import REPLICAS
 from fiohost.discover.metrics import Errors, pool
+from fiohost.discover.own_start import pooled as pooled_own
 from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
 from fiohost.discover.units import LOG_UNIT, in_metres
@@ -96,7 +96,10 @@ def clean(value: Any) -> Any:
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``; of a linear axis in metres."""
     declared, final, unit = found.declared, found.final, found.train[0].unit
-    logs = []
+    logs: list[dict[str, Any]] = []
+    own_starts = {
+        r.name: own.to_json() if own else None for r, own in zip(found.holdout, found.own_starts, strict=True)
+    }
     for role, records, before, after, floor in (
         ("train", found.train, declared.judgements, final.judgements, final.floors),
         ("holdout", found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout),
@@ -111,6 +114,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     "after": a.errors.to_json(),
                     "floor": f.errors.to_json(),
                     "initial": a.start._asdict(),
+                    **({"own_start": own_starts[record.name]} if role == "holdout" else {}),
                 }
             )
     sources = {f.source for f in (*final.floors, *found.floor_holdout)}
@@ -129,7 +133,12 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "tolerance_pct": found.tolerance_pct,
         "noise": _noise(found),
         "run_to_run": _run_to_run(found),
-        "settings": {"noise": asdict(NOISE), "stamps": asdict(STAMPS), "search": asdict(SEARCH)},
+        "settings": {
+            "noise": asdict(NOISE),
+            "stamps": asdict(STAMPS),
+            "search": asdict(SEARCH),
+            "own_start": asdict(found.own_settings),
+        },
         "clock": "logs one after the other" if found.one_clock else "as the logs say",
         "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
@@ -148,7 +157,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "train": _errors(pool([f.errors for f in final.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),
             "from": "repeats" if "repeats" in sources else "noise" if found.noise_decided else "replicas",
-            "replicas": REPLICAS,
+            "replicas": SEARCH.floor.replicas,
         },
         "logs": logs,
         "candidates": [
@@ -165,6 +174,9 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             },
         },
         "curves": [curve.to_json() for curve in found.curves],
+        "unnamed": found.unnamed.to_json() if found.unnamed else None,
+        "extrapolates": [{"log": name, "beyond": parts} for name, parts in found.extrapolates.items()],
+        "own_start": pooled_own(found.own_starts),
         "holdout_not_followed": [_excess(e) for e in found.not_followed],
         "next_experiment": upcoming.to_json() if upcoming else None,
         "detection_limits": [limit.to_json() for limit in found.outlook.limits],

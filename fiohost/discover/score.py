@@ -18,12 +18,7 @@ from fiohost.estimation.record import Record
 from fiohost.motor.effect import Parameter, Value, effect
 from fiohost.motor.model import Model
 
-STEP_SHARES = (1.0, 0.5, 0.25)
-KNOWN_ANYWAY = 0.02
-# Of a parameter that the others know by no more than this share of what one group does, they know nothing.
-ELSEWHERE = 1e-3
-SIGMAS_FROM_NEUTRAL = 3.0
-BLOCK_S = 2.0
+SCORE = SETTINGS.score
 
 
 def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) -> Model:
@@ -39,17 +34,17 @@ def without_group(fitted: Fit, records: Sequence[Record], group: Sequence[int]) 
     gradient = sum(fitted.jacobians[i].T @ fitted.residuals[i] for i in rest)
     whole = hessian + sum(fitted.jacobians[i].T @ fitted.jacobians[i] for i in group)
     scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    held = hessian / np.outer(scale, scale) + KNOWN_ANYWAY * np.eye(len(scale))
+    held = hessian / np.outer(scale, scale) + SCORE.known_anyway * np.eye(len(scale))
     step = np.linalg.solve(held, gradient / scale) / scale
     before = sum(float(fitted.residuals[i] @ fitted.residuals[i]) for i in rest)
     kept, starts = [records[i] for i in rest], [fitted.starts[i] for i in rest]
-    for share in STEP_SHARES:
+    for share in SCORE.step_shares:
         values: dict[str, Value] = {}
         for name, change in zip(fitted.names, share * step, strict=True):
             parameter = fitted.model.parameter(name)
             values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
         model = fitted.model.with_values(values)
-        if unchanged(model, kept, starts=starts, windows=fitted.windows).cost <= before:
+        if unchanged(model, kept, starts=starts, windows=fitted.windows, zeros=False).cost <= before:
             return model
     return fitted.model
 
@@ -62,7 +57,7 @@ def only_in(fitted: Fit, name: str, groups: Sequence[Sequence[int]]) -> Sequence
     known = np.array([sum(np.sum(fitted.jacobians[i][:, columns] ** 2, axis=0) for i in group) for group in groups])
     which = int(np.argmax(known.sum(axis=1)))
     rest = known.sum(axis=0) - known[which]
-    return groups[which] if columns and (rest <= ELSEWHERE * known[which]).all() else None
+    return groups[which] if columns and (rest <= SCORE.elsewhere * known[which]).all() else None
 
 
 def left_out(fitted: Fit, variance: float, records: Sequence[Record], groups: Sequence[Sequence[int]]) -> np.ndarray:
@@ -71,9 +66,9 @@ def left_out(fitted: Fit, variance: float, records: Sequence[Record], groups: Se
     for group in groups:
         out = [records[i] for i in group]
         model, starts = without_group(fitted, records, group), [fitted.starts[i] for i in group]
-        seen = unchanged(model, out, starts=starts, windows=fitted.windows)
+        seen = unchanged(model, out, starts=starts, windows=fitted.windows, zeros=False)
         for record, residual in zip(out, seen.residuals, strict=True):
-            size = max(1, round(BLOCK_S / record.sample_time_s))
+            size = max(1, round(SCORE.block_s / record.sample_time_s))
             blocks.extend(float(residual[a : a + size] @ residual[a : a + size]) for a in range(0, len(residual), size))
     return np.array(blocks) / variance
 
@@ -130,13 +125,16 @@ def _vanishing(found: Fit, name: str, known: Sequence[tuple[Parameter, Estimate]
     for parameter, value, neutral in sizes:
         if abs(value.value - neutral) < 1e-9:
             whys.append(f"{parameter.name} went to {neutral:g}, where the effect vanishes")
-        elif value.half_width / 1.96 * SIGMAS_FROM_NEUTRAL > abs(value.value - neutral):
+        elif value.half_width / 1.96 * SCORE.sigmas_from_neutral > abs(value.value - neutral):
             whys.append(f"{parameter.name} is not distinct from {neutral:g}, where the effect vanishes")
     if len(whys) == len(sizes) > 1:
         cov, _ = covariance(found)
         at = [found.names.index(f"{name}.{p.name}") for p, _, _ in sizes]
         away = np.array([value.value - neutral for _, value, neutral in sizes])
         block = cov[np.ix_(at, at)]
-        if np.isfinite(block).all() and away @ np.linalg.pinv(block, hermitian=True) @ away > SIGMAS_FROM_NEUTRAL**2:
+        if (
+            np.isfinite(block).all()
+            and away @ np.linalg.pinv(block, hermitian=True) @ away > SCORE.sigmas_from_neutral**2
+        ):
             return None
     return whys[0] if whys and len(whys) == len(sizes) else None

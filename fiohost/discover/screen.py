@@ -8,10 +8,13 @@ residual's power along it is its score.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fiohost.discover.lines import Series, clock_lines
+from fiohost.discover.missing_torque import missing_torque
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.predict import Flat, errors, windowed
 from fiohost.estimation.record import ANGLE, Record
@@ -19,13 +22,8 @@ from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
-# Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
-RESOLUTION_S = 0.02
-BEST_TRIALS = 4
-# A shaft that stands for so long though driven on by more than friction may stand at an end of travel.
-DRIVEN_ON_PCT, HELD_S = 10.0, 0.15
-# So does one that comes with so many counts in two samples, and stands at once for so many samples.
-ABRUPT_COUNTS, STANDS = 4.0, 5
+SCREEN = SETTINGS.screen
+
 
 Trial = dict[str, Value]
 
@@ -36,14 +34,14 @@ class Direction:
 
     ``share`` is the part of the residual's power along them, zero where physics forbids the sign; ``as_it_is`` what the
     trial removes of that power at the size that it has. Of an effect bound to
-    the angle there is a sine and a cosine for each zero of angle that the logs have: one size, a phase each, so
-    ``weights`` are the sizes that belong together (none: one).
+    the angle there is, for each of its sizes, a sine and a cosine for each zero of angle that the logs have: one size,
+    a phase each, so ``weights`` (sizes, zeros) are what belongs together.
     """
 
     trial: Trial
     basis: np.ndarray
     share: float
-    weights: tuple[float, ...] = (1.0,)
+    weights: np.ndarray = field(default_factory=lambda: np.ones((1, 1)))
     as_it_is: float = 0.0
 
 
@@ -62,12 +60,13 @@ class Score:
     raw: tuple[Trial, ...] = ()
 
 
-def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Effect]:
-    """Effects that may be added to a model: those of the library that are not in it and can act on such records."""
+def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None, span: Span) -> list[Effect]:
+    """Effects that may be added to a model: those of the library that are not in it and can act on such records, which
+    cover a ``span``.
+    """
     names = effects() if library is None else library
     rotary = all(r.rotary and r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    span = span_of(records)
     trying = [e for e in chosen if e.trials or (e.trials_for and e.trials_for(span))]
     return [e for e in trying if rotary or not e.angle_bound]
 
@@ -89,10 +88,10 @@ def _ends(record: Record) -> list[float]:
     for side in (1.0, -1.0):
         outward = side * record.y
         there = outward >= outward.max() - 1.01 * record.quantum
-        held = np.count_nonzero(there & (side * duty > DRIVEN_ON_PCT)) * record.sample_time_s >= HELD_S
+        held = np.count_nonzero(there & (side * duty > SCREEN.driven_on_pct)) * record.sample_time_s >= SCREEN.held_s
         first = int(np.argmax(there))
-        came = outward[first - 1] - outward[first - 3] >= ABRUPT_COUNTS * record.quantum if first >= 3 else False
-        if held or (came and there[first : first + STANDS].all()):
+        came = outward[first - 1] - outward[first - 3] >= SCREEN.abrupt_counts * record.quantum if first >= 3 else False
+        if held or (came and there[first : first + SCREEN.stands].all()):
             found.append(side * float(outward.max()) + 0.5 * record.quantum)
     return found
 
@@ -100,12 +99,13 @@ def _ends(record: Record) -> list[float]:
 class Screen:
     """Signatures of candidates around one fit, and the residual they are held against, over all records (n)."""
 
-    def __init__(self, fit: Fit, records: Sequence[Record]) -> None:
+    def __init__(self, fit: Fit, records: Sequence[Record], lines_hz: Sequence[float] | None = None) -> None:
+        """``lines_hz`` are those of the clock in what is left; None: they are looked for."""
         self.fit = fit
         self.records = records
-        self.span = span_of(records)
         flat = Flat.of(fit.model)
-        self._blocks = [max(1, round(RESOLUTION_S / r.sample_time_s)) for r in records]
+        self._blocks = [max(1, round(SCREEN.resolution_s / r.sample_time_s)) for r in records]
+        steps_s = [n * r.sample_time_s for r, n in zip(records, self._blocks, strict=True)]
         self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
         pairs = list(zip(records, fit.starts, strict=True))
         self._base = [] if fit.windows else [errors(r, flat, s) for r, s in pairs]
@@ -116,9 +116,24 @@ class Screen:
         self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
         self.residual = self.clean([r for r in fit.residuals])
         self.power = float(self.residual @ self.residual)
+        if lines_hz is None:
+            lines_hz = clock_lines(self._missing(steps_s))
+        self.span = replace(span_of(records), lines_hz=tuple(lines_hz))
+        # A line is the largest of as many frequencies as the longest record tells apart.
+        self.by_lines = SCREEN.line_chance * np.log(100.0 * max(self.lengths)) if self.span.lines_hz else 0.0
         common = np.array([not r.own_zero for r in records])
         alone = [np.arange(len(records)) == i for i in np.flatnonzero(~common)]
         self._zeros = [*([common] if common.any() else []), *alone]
+
+    def _missing(self, steps_s: Sequence[float]) -> list[Series]:
+        """The torque that the model lacks in free runs of the records, and their commands."""
+        flat, left = Flat.of(self.fit.model), []
+        for record, start in zip(self.records, self.fit.starts, strict=True):
+            error = errors(record, flat, start) / record.weights
+            left.append(missing_torque(record, self.fit.model, error))
+        torques, duties = self.coarse(left), self.coarse([r.acting_pct for r in self.records])
+        clocks = [r.excitation.clock_s for r in self.records]
+        return [Series(*found) for found in zip(torques, duties, steps_s, clocks, strict=True)]
 
     def coarse(self, series: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Means of each record's series (n, ...) over blocks of about the screen's resolution."""
@@ -160,66 +175,72 @@ class Screen:
         unit = (signature / size)[:, None].astype(np.float32)
         return Direction(_scaled(effect, trial, along / size), unit, share, as_it_is=as_it_is)
 
-    def _pair(self, effect: Effect, sine: Trial, cosine: Trial) -> Direction:
-        """A sine and a cosine together: any phase, so any sign; a phase for each zero of angle."""
-        changes = [self._change(effect, t) for t in (sine, cosine)]
-        columns = [
-            self._cleaned([c if there else 0.0 * c for c, there in zip(change, zero, strict=True)])
-            for zero in self._zeros
-            for change in changes
-        ]
+    def _swinging(self, effect: Effect, trial: Trial) -> Direction:
+        """Every size of an effect by a sine and a cosine together: any phase, so any sign; bound to the angle, a phase
+        for each zero of it.
+        """
+        zeros = self._zeros if effect.angle_bound else [np.ones(len(self.records), dtype=bool)]
+        sizes = {size: float(trial[size]) for size, _ in effect.couples}
+        columns = []
+        for size, phase in effect.couples:
+            alone = {**trial, **dict.fromkeys(sizes, 0.0), size: sizes[size]}
+            changes = [self._change(effect, {**alone, phase: degrees}) for degrees in (0.0, 90.0)]
+            columns += [
+                self._cleaned([c if there else 0.0 * c for c, there in zip(change, zero, strict=True)])
+                for zero in zeros
+                for change in changes
+            ]
         both = np.column_stack(columns)
+        shape = (len(sizes), len(zeros))
         if self.power == 0.0 or np.any(np.linalg.norm(both, axis=0) == 0.0):
-            return Direction(sine, np.zeros((len(both), 2), dtype=np.float32), 0.0)
+            return Direction(trial, np.zeros(both.shape, dtype=np.float32), 0.0, np.ones(shape))
         basis, triangle = np.linalg.qr(both)
         along = basis.T @ self.residual
-        pairs = np.linalg.lstsq(triangle, along, rcond=None)[0].reshape(-1, 2)
-        weights = np.linalg.norm(triangle.reshape(len(triangle), -1, 2), axis=(0, 2))
-        weights /= np.linalg.norm(weights)
-        size = next(p for p in effect.parameters if p.neutral is not None and p.is_smooth)
-        phase = next(p for p in effect.parameters if p.period is not None)
-        factor = float(weights**2 @ np.hypot(pairs[:, 0], pairs[:, 1]))
-        level = float(np.clip(factor * float(sine[size.name]), size.lower, size.upper))
-        a, b = pairs[0]
-        trial: Trial = {**sine, size.name: level, phase.name: float(np.degrees(np.arctan2(b, a)))}
+        pairs = np.linalg.lstsq(triangle, along, rcond=None)[0].reshape(*shape, 2)
+        weights = np.linalg.norm(triangle.reshape(len(triangle), *shape, 2), axis=(0, 3))
+        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+        grown = dict(trial)
+        for i, (size, phase) in enumerate(effect.couples):
+            bounds = effect.parameter(size)
+            factor = float(weights[i] ** 2 @ np.hypot(pairs[i, :, 0], pairs[i, :, 1]))
+            grown[size] = float(np.clip(factor * sizes[size], bounds.lower, bounds.upper))
+            grown[phase] = float(np.degrees(np.arctan2(pairs[i, 0, 1], pairs[i, 0, 0])))
         share = float(powers(along[None, :], weights)[0]) / self.power
-        return Direction(trial, basis.astype(np.float32), share, tuple(weights))
+        return Direction(grown, basis.astype(np.float32), share, weights)
 
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
         trials = [dict(t) for t in (effect.trials_for(self.span) if effect.trials_for else effect.trials)]
-        if effect.linear_pairs:
-            found = [self._pair(effect, a, b) for a, b in zip(trials[::2], trials[1::2], strict=True)]
+        if effect.couples:
+            found = [self._swinging(effect, t) for t in trials]
         else:
             sized = [p for p in effect.parameters if p.neutral is not None]
             one_sided = bool(sized) and all(p.lower >= p.neutral or p.upper <= p.neutral for p in sized)  # type: ignore[operator]
             found = [self._single(effect, t, one_sided) for t in trials]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         starts: list[Trial] = []
-        for i in varied(effect, trials, order)[:BEST_TRIALS]:
+        for i in varied(effect, trials, order)[: SCREEN.best_trials]:
             starts.append(found[i].trial)
-            if not effect.linear_pairs and found[i].trial != trials[i]:
+            if not effect.couples and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
         by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
-        raw = () if effect.linear_pairs else tuple(trials[i] for i in by_size)
+        raw = () if effect.couples else tuple(trials[i] for i in by_size)
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
 
 
-def powers(along: np.ndarray, weights: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Power (draws) of projections (draws, k) along signatures whose sizes belong together, ``weights`` being those
-    of equal groups of them.
+def powers(along: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Power (draws) of projections (draws, k) along signatures; ``weights`` (sizes, zeros) are those of equal groups of
+    them whose sizes belong together.
     """
-    if len(weights) == 1:
+    if weights.shape[1] == 1:
         return np.asarray((along**2).sum(axis=1, dtype=np.float64))
-    groups = np.linalg.norm(along.reshape(len(along), len(weights), -1), axis=2)
-    return np.asarray((groups @ np.asarray(weights)) ** 2)
+    groups = np.linalg.norm(along.reshape(len(along), *weights.shape, -1), axis=3)
+    return np.asarray(((groups * weights).sum(axis=2) ** 2).sum(axis=1))
 
 
 def varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
     """The order of trials with the best of each choice first: no choice is lost because another scores higher."""
-    if effect.linear_pairs:
-        return list(order)
     kinds = [tuple(trials[i][p.name] for p in effect.parameters if p.is_choice) for i in range(len(trials))]
     first = [i for n, i in enumerate(order) if kinds[i] not in [kinds[j] for j in order[:n]]]
     return [*first, *(i for i in order if i not in first)]

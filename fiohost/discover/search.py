@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
+from fiohost.discover.degenerate import core_lost
 from fiohost.discover.missing_torque import dependences
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
@@ -179,7 +181,8 @@ class Search:
     def expand(self, node: Node) -> list[Node]:
         """The nodes with one more effect that the data speak for, the best first."""
         screens = self.objective.screens(node.state)
-        offered = candidates(node.state.fit.model, self.objective.records, self.library)
+        span = screens[0].span
+        offered = candidates(node.state.fit.model, self.objective.records, self.library, span)
         if node.added:  # the little that another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
@@ -193,7 +196,7 @@ class Search:
         if not children:
             return []
         null = self.objective.null(node.state, children[0].state)
-        screen = screens[0] if null is node.state else Screen(null.fit, null.records)
+        screen = screens[0] if null is node.state else Screen(null.fit, null.records, span.lines_hz)
         scores = ranked[0] if null is node.state else each(screen.score, offered)
         drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
         whys = each(lambda c: self.objection(node, c, drawn), children)
@@ -213,7 +216,9 @@ class Search:
             most = s.refitted_in_windows if windows else s.refitted
             worth = [x for x in scores[:most] if x.share > s.worth * scores[0].share]
             worth = list(scores[: max(len(worth), s.least_refitted)])
-            worth += [x for x in scores if x not in worth and (x.effect.once or (windows and x.effect.warms))]
+            # Around windows as another model begins them, signatures say nothing of what warms or of an end of travel.
+            always = [x for x in scores if x.trials and (x.effect.once or (windows and x.effect.unseen_in_windows))]
+            worth += [x for x in always if x not in worth]
             jobs += [(x, screen.fit, screen.records) for x in worth]
         self.say(f"refitting {len({x.effect.name for x, _, _ in jobs})} of them")
         rough = each(lambda job: self._rough(*job), jobs)
@@ -229,11 +234,14 @@ class Search:
                 return []
         pairs = [(base, f) for (_, base, _), f in zip(jobs, rough, strict=True)]
         gains = [base.samples * float(np.log(base.cost / max(f.cost, 1e-300))) for base, f in pairs]
-        order = [i for i in np.argsort(gains)[::-1]]
+        order = [int(i) for i in np.argsort(gains)[::-1]]
+        # What windows as they are gain says nothing beside what whitened ones do: the best of each in turn.
+        sides = [[i for i in order if jobs[i][2] is screen.records] for screen in screens]
         kept: dict[str, dict[int, int]] = {}  # of each name the best of each screen
-        for i in order:
+        for i in (i for rank in zip_longest(*sides) for i in rank if i is not None):
             name, way = jobs[i][0].effect.name, id(jobs[i][2])
-            near = gains[i] >= gains[order[0]] - jobs[i][1].samples * np.log(s.hopeless)
+            best_gain = max(gains[k] for k in order if id(jobs[k][2]) == way)
+            near = gains[i] >= best_gain - jobs[i][1].samples * np.log(s.hopeless)
             if name in kept or (near and len(kept) < (s.finalists_in_windows if windows else s.finalists)):
                 kept.setdefault(name, {}).setdefault(way, int(i))
 
@@ -264,6 +272,7 @@ class Search:
         if child.gain < s.margin * null.level and not finished:
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.level:.0f}"
         why = next((w for w in (objection(found, n) for n in [name, *node.names]) if w), None)
+        why = why or core_lost(child.state.bare or found)  # of noise that is none, weights promise too much
         if why is not None:
             return why
         if whole and node.added:
@@ -390,7 +399,7 @@ class Search:
         state = node.state
         if state.noise is None or state.noise.torque_pct.value > self.settings.most_torque_pct:
             return False
-        null = draw_null(self.objective, state, Screen(state.fit, state.records), [], self.rng, self.settings)
+        null = draw_null(self.objective, state, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
         stage = self.stage(node)
         follows = dependences(self.objective.train, stage.fit.model, stage.judgements, self.rng)
         # A random torque follows nothing but itself, in time.

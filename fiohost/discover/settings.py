@@ -6,6 +6,193 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class ScreenSettings:
+    """How effects are scored before they are fitted."""
+
+    # Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
+    resolution_s: float = 0.02
+    # So many of an effect's trials are refitted.
+    best_trials: int = 4
+    # What the sine and the cosine of one frequency gain by chance, as deviance, is exponential of this mean.
+    line_chance: float = 2.0
+    # A shaft that stands for so long though driven on by more than friction may stand at an end of travel. So does one
+    # that comes with so many counts in two samples, and stands at once for so many samples.
+    driven_on_pct: float = 10.0
+    held_s: float = 0.15
+    abrupt_counts: float = 4.0
+    stands: int = 5
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """How lines of the clock are found in a spectrum."""
+
+    # Frequencies on either side whose median is the background, and the fewest lines that make a spectrum.
+    around: int = 25
+    fewest: int = 40
+    chance: float = 0.01
+    # A frequency beside others says of their background as much as so many that know its mean: those next to it in a
+    # tapered spectrum say the same (2 of 3 count), and a median knows less than a mean (1 / 2.08).
+    knows: float = 0.32
+    # So many lines at most, the strongest first: each is two trials.
+    most: int = 3
+    # Frequencies by the clock of several records are looked for at so many places at most.
+    most_looks: int = 2000
+    # Zeros after a series make its spectrum so much finer; within so many widths of a line another one is the same.
+    finer: int = 2
+    same: float = 1.5
+    # A line repeats itself so often at least; a command does where one line has this share of its power.
+    periods: float = 3.0
+    periodic: float = 0.3
+
+
+@dataclass(frozen=True)
+class OptimiserSettings:
+    """How a candidate is carried to its minimum."""
+
+    # Rough fits: from so many trials grown to size, from as many as the library has them, of windows in all.
+    starts: int = 4
+    raw_starts: int = 2
+    window_starts: int = 3
+    # Begun anew: from so many trials, on so much of all logs together and of each, with this lag.
+    anew_starts: int = 2
+    anew_s: float = 60.0
+    anew_least_s: float = 4.0
+    anew_lag_s: float = 0.1
+    # Where to look along a parameter in which the error is not smooth, as factors on its value (lowest, highest,
+    # looks); a moment is moved by their logarithms times moment_s.
+    coarse: tuple[float, float, int] = (0.2, 5.0, 20)
+    fine: tuple[float, float, int] = (0.85, 1.18, 16)
+    finest: tuple[float, float, int] = (0.98, 1.02, 16)
+    moment_s: float = 2.0
+    # The fine search goes on from where it came to while it pays by this factor, so often at most.
+    searched_again: int = 3
+    still_better: float = 0.99
+    # Another choice is searched where it comes this close in squared error, from these multiples of the size.
+    another_choice: float = 2.0
+    choice_sizes: tuple[float, ...] = (1.0, -1.0, 0.5, -0.5, 2.0, -2.0)
+    # A tolerance to which windows are fitted along their tangent.
+    near_enough: float = 1e-4
+    # Squared errors this close cannot tell two values of a threshold; how the ends of such a range are felt for.
+    flat: float = 1e-4
+    first_step: float = 1e-3
+    doublings: int = 10
+    halvings: int = 5
+    # Polished: so many points within the uncertainty are looked at, the best of them fitted.
+    looks: int = 48
+    nudges: int = 4
+    # How far around each parameter a fit in a local minimum is begun again, as factors on it, and how often at most.
+    around: tuple[float, ...] = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 1.005, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
+    begun_again: int = 3
+
+
+@dataclass(frozen=True)
+class MomentSettings:
+    """How the moment of an event is found from windows."""
+
+    # What changed is linear in its size up to so much.
+    small_change: float = 0.02
+    # A moment is looked for between the windows on either side, at so many places at a time, ever closer.
+    reach_s: float = 1.5
+    looks: int = 24
+    closer: float = 8.0
+    rounds: int = 3
+    # So many of the things that may have changed are followed up, with ratios within these.
+    likely: int = 2
+    least_ratio: float = 0.2
+    most_ratio: float = 5.0
+
+
+@dataclass(frozen=True)
+class ScoreSettings:
+    """How a fit is judged without a group of its records, and by its own parameters."""
+
+    # Shares of the Newton step that are tried.
+    step_shares: tuple[float, ...] = (1.0, 0.5, 0.25)
+    # A parameter of which the rest says less than this share of what all say stays about where it was.
+    known_anyway: float = 0.02
+    # Of a parameter that the others know by no more than this share of what one group does, they know nothing.
+    elsewhere: float = 1e-3
+    # A size so many standard errors from where the effect vanishes is distinct from it.
+    sigmas_from_neutral: float = 3.0
+    block_s: float = 2.0
+
+
+@dataclass(frozen=True)
+class FloorSettings:
+    """How the floor is drawn."""
+
+    # Bootstrap samples, and more where a figure stands just above the first: a tail is not known from so few.
+    replicas: int = 32
+    more_replicas: int = 160
+    # The angle within its count is known to between so much and so much at best; a free run this far beyond one count
+    # says nothing.
+    least_room_counts: tuple[float, float] = (0.002, 0.05)
+    lost_counts: float = 0.5
+    # Windows whose residual spans so many counts are wide: no angle fits all their samples.
+    wide: float = 1.15
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How far a figure may stand above its bootstrap samples: a factor on them and a margin in the figure's own unit.
+
+    A model that is right but for the last digits of its parameters stays within these. Free runs are taken as a fit
+    weighs them: at rest they hang on last digits, which windows do not. ``counts`` and ``points`` (of percent) are how
+    much more nobody would call missing: no two simulators, and no bench twice, agree to a third of a count.
+    """
+
+    figure: str
+    factor: float
+    margin: float
+    by_scatter: bool
+    counts: float = 0.0
+    points: float = 0.0
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """When a residual is at its floor."""
+
+    rules: tuple[Rule, ...] = (
+        Rule("free_run_rms", 1.25, 0.0, True, counts=0.35),
+        Rule("window_rms", 1.03, 0.0, True, counts=0.1),
+        Rule("bin_violation_pct", 2.0, 6.0, False, points=24.0),
+        Rule("wide_windows_pct", 1.0, 3.0, False, points=7.0),
+    )
+    # A limit is so many standard deviations above the mean of the samples.
+    sigmas: float = 4.0
+    # Within this factor of its limit a figure may be there by the error of estimation.
+    near: float = 4.0
+
+
+@dataclass(frozen=True)
+class WhitenSettings:
+    """How windows are whitened by what is left in them."""
+
+    # Noise and model settle on each other within two rounds: the third changes neither by a tenth of its interval.
+    rounds: int = 3
+    # A speed below this share of the top speed is a digit of rounding.
+    stands: float = 1e-6
+    # Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
+    draws: int = 16
+    seed: int = 2
+    # By so much gain, friction and load are changed for a derivative: shares, and percent of duty.
+    run_steps: tuple[float, float, float] = (1e-3, 1e-2, 0.05)
+    # So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
+    kink_s: float = 0.1
+
+
+@dataclass(frozen=True)
+class TorqueSettings:
+    """How the missing torque is held against what it may follow."""
+
+    # Circular shifts in time that say what chance reaches, and bins of each variable.
+    shifts: int = 200
+    bins: int = 16
+
+
+@dataclass(frozen=True)
 class SearchSettings:
     """How effects are looked for, believed and told apart."""
 
@@ -52,6 +239,15 @@ class SearchSettings:
     window_step_s: float = 0.005
     # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum.
     stuck: float = 2.0
+    screen: ScreenSettings = ScreenSettings()
+    lines: LineSettings = LineSettings()
+    optimiser: OptimiserSettings = OptimiserSettings()
+    moments: MomentSettings = MomentSettings()
+    score: ScoreSettings = ScoreSettings()
+    floor: FloorSettings = FloorSettings()
+    verdict: VerdictSettings = VerdictSettings()
+    whitening: WhitenSettings = WhitenSettings()
+    missing_torque: TorqueSettings = TorqueSettings()
 
 
 SETTINGS = SearchSettings()

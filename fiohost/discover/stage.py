@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.floor import MORE_REPLICAS, REPLICAS, Floor, floors, replica_models
+from fiohost.discover.floor import Floor, floors, replica_models
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit, no_matter
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
+
+FLOOR = SETTINGS.floor
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,9 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
     found = floors(records, fitted.model, judgements, models, rng)
     above = excesses(records, judgements, found)
     near = near_limit(above)
-    scattered = replica_models(fitted, fitted_records, rng, MORE_REPLICAS if near else REPLICAS, anywhere=True)
+    scattered = replica_models(
+        fitted, fitted_records, rng, FLOOR.more_replicas if near else FLOOR.replicas, anywhere=True
+    )
     if near:
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
         found = floors(records, fitted.model, judgements, [*models, *scattered], rng)
@@ -107,7 +112,7 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
     return Stage(
         fitted,
         tuple(models),
-        tuple(scattered[:REPLICAS]),
+        tuple(scattered[: FLOOR.replicas]),
         tuple(judgements),
         tuple(found),
         tuple(above),

@@ -32,11 +32,11 @@ def in_metres(told: Any) -> Any:
         return [in_metres(item) for item in told]
     if not isinstance(told, dict):
         return told
-    found = {k: metres(v) if k in LENGTHS else in_metres(v) for k, v in told.items()}
+    found = {k: v if k == "settings" else metres(v) if k in LENGTHS else in_metres(v) for k, v in told.items()}
     if "initial" in found:
         found["initial"] = {k: metres(v) if k in STARTS else v for k, v in told["initial"].items()}
     if str(told.get("figure", "")).endswith("rms"):
-        found |= {k: metres(told[k]) for k in ("value", "limit")}
+        found |= {k: metres(told[k]) for k in ("value", "limit") if k in told}
     if "curve" in told:
         found |= _curves(told)
     unit = str(told.get("unit", ""))

@@ -9,35 +9,10 @@ import numpy as np
 
 from fiohost.discover.floor import Floor
 from fiohost.discover.metrics import Judgement
+from fiohost.discover.settings import SETTINGS, Rule
 from fiohost.estimation.record import Record
 
-SIGMAS = 4.0
-NEAR = 4.0
-
-
-@dataclass(frozen=True)
-class Rule:
-    """How far a figure may stand above its replicas: a factor on them and a margin in the figure's own unit.
-
-    A model that is right but for the last digits of its parameters stays within these. Free runs are taken as a fit
-    weighs them: at rest they hang on last digits, which windows do not. ``counts`` and ``points`` (of percent) are how
-    much more nobody would call missing: no two simulators, and no bench twice, agree to a third of a count.
-    """
-
-    figure: str
-    factor: float
-    margin: float
-    by_scatter: bool
-    counts: float = 0.0
-    points: float = 0.0
-
-
-RULES = (
-    Rule("free_run_rms", 1.25, 0.0, True, counts=0.35),
-    Rule("window_rms", 1.03, 0.0, True, counts=0.1),
-    Rule("bin_violation_pct", 2.0, 6.0, False, points=24.0),
-    Rule("wide_windows_pct", 1.0, 3.0, False, points=7.0),
-)
+VERDICT = SETTINGS.verdict
 
 
 WHOLE_RUN = ("free_run_rms", "bin_violation_pct")
@@ -68,7 +43,7 @@ def _figure(judgement: Judgement, figure: str) -> float | None:
 
 def _limit(rule: Rule, floor: Floor, draws: np.ndarray) -> float:
     mean, spread = float(draws.mean()), float(draws.std(ddof=1)) if len(draws) > 1 else 0.0
-    top = max(mean + SIGMAS * spread, float(draws.max()), mean * rule.factor)
+    top = max(mean + VERDICT.sigmas * spread, float(draws.max()), mean * rule.factor)
     if floor.source == "repeats":
         top = max(top, getattr(floor.errors, rule.figure) * rule.factor)
     return top * (rule.factor if not rule.by_scatter else 1.0) + rule.margin
@@ -82,7 +57,7 @@ def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors:
     """
     found = []
     for record, judgement, floor in zip(records, judgements, floors, strict=True):
-        for rule in RULES:
+        for rule in VERDICT.rules:
             value = _figure(judgement, rule.figure)
             draws = [_figure(d, rule.figure) for d in floor.draws]
             known = [d for d in draws if d is not None]
@@ -101,7 +76,7 @@ def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors:
 def near_limit(found: Sequence[Excess]) -> bool:
     """Whether all that stands above its limit stands so little above it that more replicas may say otherwise."""
     above = [e for e in found if e.exceeded]
-    return bool(above) and all(e.value < NEAR * e.limit for e in above)
+    return bool(above) and all(e.value < VERDICT.near * e.limit for e in above)
 
 
 def at_floor(found: Sequence[Excess]) -> bool:

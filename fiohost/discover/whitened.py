@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.floor import replica
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
@@ -28,27 +29,20 @@ from fiohost.noise.runs import NO_SCATTER, Pull, RunToRun, each_alone, estimate_
 from fiohost.noise.settings import SETTINGS as NOISE_SETTINGS
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 
-# Noise and model settle on each other within two rounds: the third changes neither by a tenth of its interval.
-ROUNDS = 3
-# A speed below this share of the top speed is a digit of rounding.
-STANDS = 1e-6
-# Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
-WHITE_DRAWS, WHITE_SEED = 16, 2
-# By so much gain, friction and load are changed for a derivative: shares, and percent of duty.
-RUN_STEPS = (1e-3, 1e-2, 0.05)
 # A tolerance within which no step is worth taking.
 ENDLESS = 1e30
-# So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
-KINK_S = 0.1
+
+WHITENING = SETTINGS.whitening
 
 
 @dataclass(frozen=True)
 class Settled:
     """A model fitted to windows of ``records``, whitened by the ``noise`` that it leaves, the shaft standing where
-    ``moving`` (n each) says.
+    ``moving`` (n each) says; ``bare`` is its fit to windows as they are.
     """
 
     fit: Fit
+    bare: Fit
     records: tuple[Record, ...]
     noise: Noise
     moving: tuple[np.ndarray, ...]
@@ -81,8 +75,8 @@ def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np
         within[record.windows[1:-1] - 1] = False  # from one window to the next it jumps
         before = np.maximum.accumulate(np.where(within, np.arange(len(steps)), 0))
         speed = np.append(steps[before], steps[before[-1]])
-    moves = np.abs(speed) > STANDS * float(np.max(np.abs(speed), initial=0.0))
-    near = round(KINK_S / record.sample_time_s)
+    moves = np.abs(speed) > WHITENING.stands * float(np.max(np.abs(speed), initial=0.0))
+    near = round(WHITENING.kink_s / record.sample_time_s)
     moves = np.convolve(moves, np.ones(2 * near + 1), mode="same") > 0.5
     coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
     return residual, speed, np.where(moves, np.where(coasts, COASTS, DRIVEN), REST)
@@ -105,7 +99,7 @@ def run_columns(record: Record, model: Model, start: Start) -> np.ndarray:
     """Derivatives (n, 3) of what a record's windows show, as they are whitened, by what may differ between runs."""
     flat = Flat.of(model)
     tangent = Tangent(record, flat, start, windowed(record, flat, start)[1])
-    steps = np.diag(RUN_STEPS)
+    steps = np.diag(WHITENING.run_steps)
     return np.column_stack([tangent.by(Flat.of(varied(model, s)), start, float(s.sum())) for s in steps])
 
 
@@ -175,7 +169,7 @@ def settle(
     records: Sequence[Record],
     starts: Sequence[Start] | None = None,
     moving: Sequence[np.ndarray] | None = None,
-    rounds: int = ROUNDS,
+    rounds: int = WHITENING.rounds,
     bare_first: bool = True,
 ) -> Settled:
     """Fit a model to windows and whiten them by what it leaves, in turn; ``moving`` where another model's movement is
@@ -183,7 +177,7 @@ def settle(
     """
     bare = plain(records)
     most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
-    fitted = fit(model, bare, windows=True, starts=starts, max_iterations=most, tolerance=tolerance)
+    fitted = plainly = fit(model, bare, windows=True, starts=starts, max_iterations=most, tolerance=tolerance)
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise = tuple(bare), NONE
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
@@ -195,15 +189,18 @@ def settle(
         whitened = with_noise(bare, fitted.model, noise, moves)
         if several:
             noise, whitened = with_runs(fitted, whitened, noise)
-        fitted = fit(fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5)
-    return Settled(fitted, whitened, noise, moves)
+        starts = fitted.starts
+        fitted = fit(
+            fitted.model, whitened, windows=True, starts=starts, max_iterations=12, tolerance=1e-5, zeros=False
+        )
+    return Settled(fitted, plainly, whitened, noise, moves)
 
 
 def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
     """Whether what a stage leaves in windows is as white as what its own bootstrap samples leave, at 1 %."""
     flat, edges = Flat.of(stage.fit.model), [r.windows for r in records]
     starts = [j.start for j in stage.judgements]
-    rngs = np.random.default_rng(WHITE_SEED).spawn(WHITE_DRAWS)
+    rngs = np.random.default_rng(WHITENING.seed).spawn(WHITENING.draws)
 
     def draw(rng: np.random.Generator) -> float:
         errors = [

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from fiohost import __version__
 from fiohost.discover.candidate import Progress
-from fiohost.discover.floor import REPLICAS
 from fiohost.discover.result import clean
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import Evidence, TableFit
 from fiohost.discover.tables.search import Search, TableSearch, TableStage, parameter_count, select
@@ -75,7 +75,7 @@ class TableDiagnosis:
                 "train": {"free_run_rms": final.floor_rms, "limit_rms": final.limit_rms, "samples": evidence.samples},
                 "holdout": None,
                 "from": "replicas",
-                "replicas": REPLICAS,
+                "replicas": SETTINGS.floor.replicas,
             },
             "fitted_parameters": parameter_count(evidence, final.fit),
             "rows": self._rows(),

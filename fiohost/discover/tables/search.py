@@ -13,8 +13,9 @@ import numpy as np
 from scipy.special import betaincinv
 
 from fiohost.discover.candidate import Progress
-from fiohost.discover.floor import REPLICAS, refitted
+from fiohost.discover.floor import refitted
 from fiohost.discover.score import objection
+from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.step import named_with
 from fiohost.discover.tables.fit import (
     LOOKS,
@@ -39,7 +40,6 @@ from fiohost.discover.tables.validated import (
     checked,
     indistinguishable,
 )
-from fiohost.discover.verdict import SIGMAS
 from fiohost.discover.workers import each
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.motor.effect import Effect, effect, effects
@@ -154,14 +154,14 @@ class Search:
 
     def stage(self, fitted: TableFit) -> TableStage:
         """A fit judged: replicas of its own figures, rounded elsewhere, are fitted by the same model."""
-        noises = [self.evidence.noise(self.rng) for _ in range(REPLICAS)]
+        noises = [self.evidence.noise(self.rng) for _ in range(SEARCH.floor.replicas)]
 
         def again(noise: Sequence[np.ndarray]) -> TableFit:
             return fit_tables(self.evidence, fitted.model, constants=fitted.constants, noise=noise, evaluations=REFIT)
 
         fits = each(again, noises)
         errors = np.array([f.rms for f in fits])
-        limit = max(float(errors.mean() + SIGMAS * errors.std(ddof=1)), float(errors.max()))
+        limit = max(float(errors.mean() + SEARCH.verdict.sigmas * errors.std(ddof=1)), float(errors.max()))
         out = left_out(self.evidence, fitted) if can_be_left_out(self.evidence, fitted) else None
         return TableStage(fitted, tuple(f.model for f in fits), float(errors.mean()), limit, out)
 
@@ -219,7 +219,7 @@ class Search:
         share = 1.0 - grown.cost / max(stage.fit.cost, 1e-300)
         if grown.rms > stage.limit_rms and share <= chance:
             return f"removes {100 * share:.1f} % of the residual's power, chance alone {100 * chance:.1f} %"
-        replicas = [refitted(grown, self.evidence.noise(self.rng)) for _ in range(REPLICAS)]
+        replicas = [refitted(grown, self.evidence.noise(self.rng)) for _ in range(SEARCH.floor.replicas)]
         return objection(grown, item.name, replicas)
 
     def round(self, stage: TableStage) -> Outcome:

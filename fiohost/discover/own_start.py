@@ -1,0 +1,175 @@
+"""Held-out logs judged with what differs from run to run taken from their own first seconds.
+
+No bench repeats itself: gain, dry friction, an offset of the load and the dead time of a day are not those of another.
+They are the most likely ones given the beginning of the log and how they scatter (maximum a posteriori, as the best
+linear prediction of random effects: Laird and Ware 1982); everything else stays as it was fitted. The rest of the log,
+which they never saw, is judged with them and without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fiohost.discover.folds import piece
+from fiohost.discover.metrics import Judgement, judge, pool
+from fiohost.discover.workers import each
+from fiohost.estimation.fit import fit
+from fiohost.estimation.initial import has_own_zero
+from fiohost.estimation.predict import Flat
+from fiohost.estimation.record import SHORTEST, Record
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
+from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, RunToRun
+
+GAIN_KEY, LOAD_KEY, DELAY_EFFECT = "linear.gain_deg_s_per_pct", f"{LOAD_EFFECT}.level_pct", "transport_delay"
+DELAY_KEY = f"{DELAY_EFFECT}.delay_s"
+# A tolerance within which no step is worth taking.
+ENDLESS = 1e30
+
+
+@dataclass(frozen=True)
+class OwnSettings:
+    """What a log's beginning says of the log."""
+
+    # So much of it at most, and of a short log this share; its first part, in which a motor settles, is left out.
+    seconds: float = 10.0
+    share: float = 1.0 / 3.0
+    left_out: float = 0.2
+    # How runs differ where training says nothing of it: gain and friction as shares, load in percent of duty; the dead
+    # time by a tick.
+    gain_sd: float = 0.05
+    friction_sd: float = 0.3
+    load_sd_pct: float = 1.0
+    delay_sd_ticks: float = 1.0
+    # What is left in a window of 1 s is as good as so many readings that err apart.
+    readings_a_window: float = 10.0
+    rounds: int = 4
+
+
+SETTINGS = OwnSettings()
+
+
+@dataclass(frozen=True)
+class OwnStart:
+    """The rest of a log, from ``from_s`` on, judged without (``cold``) and with (``own``) the log's ``values``, each
+    with its unit.
+    """
+
+    from_s: float
+    values: dict[str, tuple[float, str]]
+    cold: Judgement
+    own: Judgement
+
+    def to_json(self) -> dict[str, object]:
+        return {
+            "from_s": self.from_s,
+            "values": {key: {"value": value, "unit": unit} for key, (value, unit) in self.values.items()},
+            "cold": self.cold.errors.to_json(),
+            "own": self.own.errors.to_json(),
+        }
+
+
+def own_starts(
+    records: Sequence[Record],
+    model: Model,
+    window_rms: float,
+    runs: RunToRun | None = None,
+    settings: OwnSettings = SETTINGS,
+) -> list[OwnStart | None]:
+    """Each record's own start under a fitted model that leaves ``window_rms`` in windows of its training records; None
+    where a record is too short.
+    """
+    return each(lambda r: _own_start(r, model, window_rms, runs, settings), records)
+
+
+def pooled(found: Sequence[OwnStart | None]) -> dict[str, object] | None:
+    """Errors of all rests together, as the schema has them; None of none."""
+    known = [f for f in found if f is not None]
+    cold, own = pool([f.cold.errors for f in known]), pool([f.own.errors for f in known])
+    return None if cold is None or own is None else {"cold": cold.to_json(), "own": own.to_json()}
+
+
+def _own_start(
+    record: Record, model: Model, window_rms: float, runs: RunToRun | None, settings: OwnSettings
+) -> OwnStart | None:
+    times = record.excitation.times_s - record.excitation.times_s[0]
+    ends_s = min(settings.seconds, settings.share * record.seconds)
+    first, last = np.searchsorted(times, (settings.left_out * ends_s, ends_s)).tolist()
+    if last - first < SHORTEST or len(record) - last < SHORTEST or ends_s < 1.0:
+        return None
+    beginning = piece(record, first, last, record.name)
+    rest = piece(record, last, len(record), record.name)
+    known, zero = _most_likely(beginning, model, window_rms, runs, settings)
+    cold = judge(rest, model)
+    if zero is not None:
+        known, rest = from_zero(known, zero), replace(rest, own_zero=False)
+    keys = [key for key in _keys(known) if key in known.values]
+    values = {key: (known.number(key), known.parameter(key).unit) for key in keys}
+    return OwnStart(float(times[last]), values, cold, judge(rest, known))
+
+
+def _keys(model: Model) -> list[str]:
+    return [GAIN_KEY, *(key for key in FRICTIONS if key in model.values), LOAD_KEY, DELAY_KEY]
+
+
+def _spread(key: str, model: Model, record: Record, runs: RunToRun | None, settings: OwnSettings) -> float:
+    """How far (standard deviation) a run's own value lies from that of the model."""
+    known = runs.sd if runs is not None and runs.known else np.zeros(3)
+    if key == GAIN_KEY:
+        return float(known[GAIN] or settings.gain_sd) * abs(model.number(key))
+    if key == LOAD_KEY:
+        return float(known[LOAD] or settings.load_sd_pct)
+    if key == DELAY_KEY:
+        return settings.delay_sd_ticks * record.sample_time_s
+    return float(known[FRICTION] or settings.friction_sd) * max(abs(model.number(key)), 1e-3)
+
+
+def _most_likely(
+    record: Record, model: Model, window_rms: float, runs: RunToRun | None, settings: OwnSettings
+) -> tuple[Model, float | None]:
+    """The model with the record's own values, and where on the bench's turn the record's zero is (None: known)."""
+    for name in (LOAD_EFFECT, DELAY_EFFECT):
+        if name not in model.effects:
+            parameter = effect(name).parameters[0]
+            model = model.with_effect(name, {parameter.name: float(parameter.neutral or 0.0)})
+    keys = [key for key in _keys(model) if key not in model.fixed]
+    start = np.array([model.number(key) for key in keys])
+    precision = np.array([_spread(key, model, record, runs, settings) for key in keys]) ** -2.0
+    own = replace(model, fixed=frozenset(key for key in model.values if key not in keys))
+    windows = max(len(record.windows) - 1, 1)
+    variance = window_rms**2 * max(len(record) / (windows * settings.readings_a_window), 1.0)
+    lower, upper = np.array([(model.parameter(k).lower, model.parameter(k).upper) for k in keys]).T
+    here, starts, best = start, None, (np.inf, start)
+    for _ in range(settings.rounds):
+        at = own.with_values(dict(zip(keys, here.tolist(), strict=True)))
+        seen = fit(at, [record], windows=True, starts=starts, max_iterations=1, tolerance=ENDLESS)
+        starts = seen.starts
+        cost = seen.cost / variance + float(precision @ (here - start) ** 2)
+        if cost >= best[0]:
+            break
+        best = (cost, here)
+        columns = seen.jacobians[0][:, [seen.names.index(key) for key in keys]]
+        pull = columns.T @ seen.residuals[0] / variance - precision * (here - start)
+        step = np.linalg.solve(columns.T @ columns / variance + np.diag(precision), pull)
+        here = np.clip(here + step, lower, upper)
+    found = own.with_values(dict(zip(keys, best[1].tolist(), strict=True)))
+    zero = starts[0].zero if starts and has_own_zero(record, Flat.of(found)) else None
+    return replace(found, fixed=model.fixed), zero
+
+
+def from_zero(model: Model, zero_deg: float) -> Model:
+    """The same model for angles counted from another zero of the bench's turn."""
+    values: dict[str, float | str] = {}
+    for item in (part for part in model.parts() if part.angle_bound):
+        whole = next((q.name for q in item.parameters if q.whole), None)
+        for q in item.parameters:
+            if q.order is None and q.period is None:
+                continue
+            turns = q.order if q.order is not None else round(model.number(f"{item.name}.{whole}")) if whole else 1
+            key = f"{item.name}.{q.name}"
+            moved = model.number(key) + turns * zero_deg
+            values[key] = moved if q.period is None else (moved + 180.0) % 360.0 - 180.0
+    return model.with_values(values)
