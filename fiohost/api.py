@@ -7,11 +7,13 @@ log.
 
 from __future__ import annotations
 
+import importlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Union
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias, Union, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fiohost.discover.diagnose import Diagnosis as Found
+    from fiohost.result_types import DiagnosisResult, ParameterResult
 
     Source: TypeAlias = Union[Log, str, Path, pandas.DataFrame]  # noqa: UP007 (made at run time by nobody)
 
@@ -86,7 +89,7 @@ def identify(
     return identify_logs(read_logs(logs), method, fitted=fitted, kp_pct_per_deg=kp_pct_per_deg)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Simulation:
     """A free run of a model, arrays (rows,): output in ``unit``; ``log`` and ``error_rms`` where it was of a log."""
 
@@ -98,6 +101,10 @@ class Simulation:
     model: Model
     log: Log | None = None
     error_rms: float | None = None
+
+    def __repr__(self) -> str:
+        off = "" if self.error_rms is None else f", {self.error_rms:.4g} {self.unit} rms from the log"
+        return f"<Simulation of {self.model.expression}: {len(self.time_s)} rows of {self.output_name}{off}>"
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Time, duty, simulated output, and the measured one beside. Raises ConfigError without pandas."""
@@ -153,9 +160,11 @@ def simulate(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a declared model lacks. ``result`` is the JSON, schema ``fiohost.diagnosis/1``; ``found`` what made it."""
+    """What a declared model lacks. ``result`` is the JSON, schema ``fiohost.diagnosis/1``; ``model`` the best usable
+    one, curves of no name in it where something stays unexplained; ``found`` what made it.
+    """
 
-    result: Mapping[str, Any]
+    result: DiagnosisResult
     model: Model
     found: Found = field(repr=False)
 
@@ -172,8 +181,13 @@ class Diagnosis:
     @property
     def parameters(self) -> dict[str, float | str]:
         """Values of the final model by name; intervals and units are in ``result``."""
-        told = (self.result.get("final") or {}).get("parameters") or {}
-        return {str(name): parameter["value"] for name, parameter in told.items()}
+        return {name: parameter["value"] for name, parameter in self._final.items()}
+
+    @property
+    def _final(self) -> dict[str, ParameterResult]:
+        """Parameters of the final model; none where the raw data ended the diagnosis."""
+        final = self.result.get("final")
+        return final["parameters"] if final else {}
 
     def summary(self) -> str:
         """The verdict, the errors and the parameters as text."""
@@ -185,7 +199,8 @@ class Diagnosis:
         from fiohost.report.words import verdict_sentence
 
         text = StringIO()
-        console = Console(file=text, width=132, highlight=False)
+        # a notebook would else be given colours, which print() shows as signs
+        console = Console(file=text, width=132, highlight=False, color_system=None, force_jupyter=False)
         for table in (error_table(self.result), parameter_table(self.result)):
             console.print()
             console.print(table)
@@ -223,7 +238,6 @@ class Diagnosis:
         """One row a parameter of the final model: value, unit, interval, whether it is identifiable. Raises ConfigError
         without pandas.
         """
-        told = (self.result.get("final") or {}).get("parameters") or {}
         rows = [
             {
                 "parameter": name,
@@ -233,7 +247,7 @@ class Diagnosis:
                 "ci95_high": (p["ci95"] or (None, None))[1],
                 "identifiable": p["identifiable"],
             }
-            for name, p in told.items()
+            for name, p in self._final.items()
         ]
         return _pandas().DataFrame(rows).set_index("parameter")
 
@@ -244,11 +258,10 @@ class Diagnosis:
         from fiohost.report.plots import as_svg
         from fiohost.report.words import interval, number, verdict_sentence
 
-        told = (self.result.get("final") or {}).get("parameters") or {}
         rows = "".join(
             f"<tr><td>{escape(str(name))}</td><td>{number(p['value'], 5)}</td><td>{interval(p)}</td>"
             f"<td>{escape(str(p['unit']))}</td></tr>"
-            for name, p in told.items()
+            for name, p in self._final.items()
         )
         head = "<tr><th>parameter</th><th>value</th><th>95 % interval</th><th>unit</th></tr>"
         return (
@@ -269,17 +282,25 @@ def diagnose(
     library: Sequence[str] | None = None,
     seed: int = 0,
     limits: bool = False,
+    tolerance_pct: float = 0.0,
+    own_seconds: float = 10.0,
+    constants: str | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
     """Name what a declared model lacks, from training logs; held-out logs only report.
 
     ``model`` is an expression such as ``linear+coulomb_friction``, a model file or a Model; ``library`` restricts the
-    effects that are tried; ``say`` hears of progress. Raises FiohostError.
+    effects that are tried; what is left below ``tolerance_pct`` of the motion does not matter; ``own_seconds`` of each
+    held-out log say what is its own (0: nothing is). ``constants`` is a set or file of the motor's constants, by which
+    the report says volts, amperes and newton metres; ``say`` hears of progress. Raises FiohostError.
     """
     from fiohost.circle.evidence import diagnose as run
     from fiohost.circle.evidence import read_logs as by_map
     from fiohost.discover.result import to_json
+    from fiohost.labs.constants import MotorConstants
+    from fiohost.report.physical import constants_of
 
+    motor = MotorConstants.load(constants) if constants else None
     train, held = _listed(logs), _listed(holdout)
     if table_map is not None:
         tables = [Path(s) if isinstance(s, str) else s for s in (*train, *held)]
@@ -287,9 +308,18 @@ def diagnose(
     else:
         read = read_any([*train, *held])  # tables of one bench are understood together, whatever their role
     found = run(
-        read[: len(train)], read[len(train) :], _model(model), library=library, seed=seed, limits=limits, say=say
+        read[: len(train)],
+        read[len(train) :],
+        _model(model),
+        library=library,
+        seed=seed,
+        limits=limits,
+        tolerance_pct=tolerance_pct,
+        own_seconds=own_seconds,
+        say=say,
     )
-    return Diagnosis(to_json(found), found.final.fit.model, found)
+    result = {**to_json(found), "constants": constants_of([log.metadata for log in read], motor).to_json()}
+    return Diagnosis(cast("DiagnosisResult", result), found.in_hand, found)
 
 
 def plot(
@@ -337,9 +367,8 @@ def _model(model: str | Path | Model) -> Model:
     return model if isinstance(model, Model) else Model.parse(str(model))
 
 
-def _pandas() -> Any:
+def _pandas() -> ModuleType:
     try:
-        import pandas
+        return importlib.import_module("pandas")
     except ImportError:
         raise ConfigError("tables of pandas need pandas: pip install 'fiohost[data]'") from None
-    return pandas

@@ -110,7 +110,10 @@ def read_input(path: str | Path, most_bytes: int, what: str, error: type[Fiohost
     """The whole of a regular file of at most *most_bytes*. *what* names its kind in messages. Raises *error*."""
     with open_input(path, most_bytes, what, error) as file:
         try:
-            data = file.read(most_bytes + 1)
+            size = os.fstat(file.fileno()).st_size  # a read of all that is allowed takes it all
+            data = file.read(min(size, most_bytes) + 1)
+            if len(data) > size:  # it grows
+                data += file.read(max(0, most_bytes + 1 - len(data)))
         except (OSError, MemoryError) as exc:
             raise error(f"cannot read {what} {shown(path)}: {_why(exc)}") from exc
     if len(data) > most_bytes:

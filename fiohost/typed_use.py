@@ -35,3 +35,5 @@ if TYPE_CHECKING:
         assert_type(found.summary(), str)
         assert_type(found.to_json(), str)
         assert_type(found.effects, list[str])
+        assert_type(found.result["steps"][0]["effect"], str)
+        assert_type(found.result["after"]["train"]["free_run_rms"], float)

@@ -14,6 +14,7 @@ from fiohost.transport.profile import Guards
 from fiohost.wire.messages import DRIVE, Command
 
 STALL_COUNTS = 4  # a shaft that moved no further stands
+COOLING = 0.1  # of the heat that full duty brings, goes in the same time without duty: pulses add up
 STRONG_PCT = 20.0  # from here on a duty is expected to decide which way the shaft turns
 SPEED_TICKS = 10  # over which a speed is measured
 FASTER_DEG_S = 60.0  # than when the duty came on: then it is not only running down
@@ -28,7 +29,7 @@ class MotorGuard:
         self._guards, self._tick_s = guards, sample_time_s
         self._stall_s = guards.stall_s * patience
         self._stall_deg = STALL_COUNTS * 360.0 / counts_per_rev
-        self._heat_s = 0.0
+        self._heat_s = self._held_pct = 0.0
         self._stood_deg: float | None = None  # where the shaft stands
         self._seen: deque[tuple[int, float]] = deque(maxlen=SPEED_TICKS + 1)
         self._glitches: deque[bool] = deque(maxlen=GLITCH_TICKS)
@@ -39,9 +40,11 @@ class MotorGuard:
     def check(self, k: int, command: Command, angle_deg: float) -> None:
         """Tick *k*: what is to be sent, and where the shaft is. Raises GuardError."""
         self._plausible(k, angle_deg)
+        since_s = (k - self._seen[-1][0]) * self._tick_s if self._seen else 0.0
         self._seen.append((k, angle_deg))
         duty_pct = command.duty_pct if command.mode == DRIVE else 0.0
-        self._stall(duty_pct, angle_deg)
+        self._stall(since_s, self._held_pct, angle_deg)
+        self._held_pct = duty_pct
         self._direction(duty_pct, angle_deg)
 
     def _plausible(self, k: int, angle_deg: float) -> None:
@@ -60,11 +63,15 @@ class MotorGuard:
                 f"{self._guards.speed_deg_s:g}: braked; check the encoder's wires, its supply and the reports' layout"
             )
 
-    def _stall(self, duty_pct: float, angle_deg: float) -> None:
-        if self._stood_deg is None or not duty_pct or abs(angle_deg - self._stood_deg) > self._stall_deg:
+    def _stall(self, since_s: float, duty_pct: float, angle_deg: float) -> None:
+        """So long the board has held that duty: ticks that the host missed count as well."""
+        if self._stood_deg is None or abs(angle_deg - self._stood_deg) > self._stall_deg:
             self._stood_deg, self._heat_s = angle_deg, 0.0
             return
-        self._heat_s += (0.01 * duty_pct) ** 2 * self._tick_s
+        if not duty_pct:
+            self._heat_s = max(0.0, self._heat_s - COOLING * since_s)
+            return
+        self._heat_s += (0.01 * duty_pct) ** 2 * since_s
         if self._heat_s > self._stall_s:
             raise GuardError(
                 f"the shaft stands though the motor is driven with {duty_pct:.3g} %, longer than guards.stall_s = "

@@ -19,12 +19,6 @@ def end_line(rows: int, head_crc: int, rows_crc: int) -> str:
     return f"{PREFIX}rows={rows} crc32_head={head_crc:08x} crc32_rows={rows_crc:08x}\n"
 
 
-def ended(text: str) -> str:
-    """The text of a log, with its last line."""
-    head, rows = _parts(text.encode())
-    return text + end_line(rows.count(b"\n"), zlib.crc32(head), zlib.crc32(rows))
-
-
 @dataclass(frozen=True)
 class Integrity:
     """What became of a log's bytes: its state, the rows that are there, those that should be (None: nobody knows), and
@@ -39,12 +33,13 @@ class Integrity:
 
 def judge(data: bytes) -> Integrity:
     """Hold the bytes of a log against its last line."""
-    body, _, last = data.removesuffix(b"\n").rpartition(b"\n")
-    found = _END.fullmatch(last)
-    if found is None:
+    begin = data.rfind(b"\n", 0, len(data) - data.endswith(b"\n")) + 1  # of the last line
+    found = _END.fullmatch(data, begin)
+    if found is None or not begin:
         return _without_end(data)
-    head, rows = _parts(body + b"\n")
-    there, written = rows.count(b"\n"), int(found[1])
+    at = _first_row(data, begin)
+    head, rows = memoryview(data)[:at], memoryview(data)[at:begin]  # no copies: logs are large
+    there, written = data.count(b"\n", at, begin), int(found[1])
     notes = []
     if there != written:
         what = f"{written - there} rows are missing" if there < written else f"{there - written} rows were added"
@@ -57,10 +52,11 @@ def judge(data: bytes) -> Integrity:
 
 
 def _without_end(data: bytes) -> Integrity:
-    head, rows = _parts(data)
-    whole = rows.count(b"\n")
+    at = _first_row(data, len(data))
+    head = data[:at]
+    whole = data.count(b"\n", at)
     notes = []
-    if rows and not rows.endswith(b"\n"):
+    if data and not data.endswith(b"\n"):
         notes.append("the last line is cut off in its middle")
     if b"\n# host_version:" not in head and b"# host_version:" not in head[:15]:
         notes.append("it has no last line with row count and check sum: another program made it")
@@ -72,14 +68,13 @@ def _without_end(data: bytes) -> Integrity:
     return Integrity(CUT_OFF, whole, None, tuple(notes))
 
 
-def _parts(data: bytes) -> tuple[bytes, bytes]:
-    """Head (metadata and column names) and rows."""
+def _first_row(data: bytes, end: int) -> int:
+    """Where the rows begin, behind metadata and column names; *end* where there are none."""
     at = 0
-    while data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at):
-        end = data.find(b"\n", at)
-        if end < 0:
-            return data, b""
-        at = end + 1
-    end = data.find(b"\n", at)
-    at = len(data) if end < 0 else end + 1
-    return data[:at], data[at:]
+    while data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at, end):
+        found = data.find(b"\n", at, end)
+        if found < 0:
+            return end
+        at = found + 1
+    found = data.find(b"\n", at, end)
+    return end if found < 0 else found + 1

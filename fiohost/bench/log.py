@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fiohost import files
-from fiohost.bench.head import MAX_LINE_CHARS, OUTPUT_UNITS, check_names, needed_columns, read_head
+from fiohost.bench.head import MAX_LINE_CHARS, MAX_METADATA_LINES, OUTPUT_UNITS, check_names, needed_columns, read_head
 from fiohost.bench.integrity import ALTERED, judge
 from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
@@ -32,15 +32,19 @@ __all__ = ["BRAKE", "DRIVE", "OUTPUT_UNITS", "STANDBY", "Log", "LogWriter"]
 
 FloatArray = NDArray[np.float64]
 
-MAX_LOG_BYTES = 256_000_000
+MAX_LOG_BYTES = 640_000_000  # 10 million rows with every column that a run writes, some 14 hours at 5 ms, and more
+PIECE_BYTES = 8_000_000  # of rows that are read at a time: what is in between takes little memory
+HEAD_BYTES = MAX_METADATA_LINES * MAX_LINE_CHARS
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broken time column, not a gap
 DUTY_TOLERANCE_PCT = 0.01
 DEFAULT_COUNTS_PER_REV = 720
+IMPORTED = "import"  # the target of a log that was made of a foreign table
 
 _AVERAGES = ("instant", "previous_interval")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Log:
     """One run: numbers by column (each of shape (rows,)), the file's metadata, and what the reader left out.
 
@@ -53,6 +57,11 @@ class Log:
     sha256: str  # of the file's bytes
     dropped: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        whole = len(self) > 1
+        seconds = f", {float(self.time_s[-1] - self.time_s[0]):.4g} s" if whole else ""
+        return f"<Log {self.path}: {len(self)} rows{seconds} of {', '.join(self.columns)}>"
+
     # ---- making one -------------------------------------------------------------------------------------------
 
     @classmethod
@@ -61,43 +70,43 @@ class Log:
         path = Path(path)
         data = files.read_input(path, MAX_LOG_BYTES, "the log", LogError)
         notes: list[str] = []
+        digest = hashlib.sha256(data).hexdigest()
+        judged = judge(data)
         whole = data.rstrip(b"\0")  # a crashed machine may leave a tail of zeros
         if len(whole) < len(data):
             notes.append(f"{len(data) - len(whole)} zero bytes at the end of the file")
-        try:
-            text = whole.decode("utf-8-sig")
-        except UnicodeDecodeError as exc:
-            cut = exc.start >= len(whole) - 3  # cut off inside a character
-            if not cut:
-                raise LogError(f"{path} is not a log: byte {exc.start} is not UTF-8 text") from exc
-            text = whole[: exc.start].decode("utf-8-sig")
-        judged = judge(data)
         if judged.state == ALTERED:
             notes.append(f"nothing yet, but the file was altered since it was written: {'; '.join(judged.notes)}")
-        return cls.parse(text, path=path, sha256=hashlib.sha256(data).hexdigest(), dropped=tuple(notes))
+        del data
+        return cls._of_bytes(whole, path, digest, notes)
 
     @classmethod
     def parse(
         cls, text: str, *, path: str | Path = "(memory)", sha256: str | None = None, dropped: Sequence[str] = ()
     ) -> Log:
         """Make a log of its text. *dropped* are sentences that the caller already has to say. Raises LogError."""
-        path = Path(path)
-        if sha256 is None:
-            sha256 = hashlib.sha256(text.encode()).hexdigest()
-        notes = list(dropped)
-        if "\r" in text:
-            text = text.replace("\r\n", "\n")
-        if not text.strip():
+        data = text.encode()
+        return cls._of_bytes(data, Path(path), sha256 or hashlib.sha256(data).hexdigest(), list(dropped))
+
+    @classmethod
+    def _of_bytes(cls, data: bytes, path: Path, sha256: str, notes: list[str]) -> Log:
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n")
+        begin = len(BYTE_ORDER_MARK) if data.startswith(BYTE_ORDER_MARK) else 0
+        if len(data) == begin or data[begin:].isspace():
             raise LogError(f"the log {path} is empty")
-        if "\0" in text[:MAX_LINE_CHARS]:
+        if b"\0" in data[:MAX_LINE_CHARS]:
             raise LogError(f"{path} is not a log: it holds zero bytes")
-        if not text.endswith("\n"):
-            cut = text.rfind("\n") + 1
+        end = data.rfind(b"\n") + 1
+        if end < len(data):
             notes.append("the last line, which is cut off in its middle")
-            text = text[:cut]
-        metadata, names, start, first_line = read_head(text, path)
+        head = _decoded(data, begin, min(_after_line(data, begin + HEAD_BYTES), end), path)
+        metadata, names, start, first_line = read_head(head, path)
         check_names(names, path)
-        table = parse_rows(text[start:], names, needed_columns(names), first_line, str(path))
+        start = begin + len(head[:start].encode())
+        del head  # up to megabytes of rows
+        pieces, most_rows = _pieces(data, start, end), data.count(b"\n", start, end)
+        table = parse_rows(pieces, most_rows, names, needed_columns(names), first_line, str(path), start)
         notes += table.notes
         return cls._checked(metadata, table.columns, path, sha256, notes)
 
@@ -119,8 +128,9 @@ class Log:
     def _checked(
         cls, metadata: dict[str, str], columns: dict[str, FloatArray], path: Path, sha256: str, notes: list[str]
     ) -> Log:
-        needed = [columns[name] for name in needed_columns(list(columns))]
-        whole = np.all(np.isfinite(needed), axis=0)
+        whole = np.isfinite(columns["time_s"])
+        for name in needed_columns(list(columns)):
+            whole &= np.isfinite(columns[name])
         if not np.all(whole):
             first = int(np.argmin(whole))
             notes.append(f"{int(np.sum(~whole))} rows with missing or infinite numbers (the first is row {first + 1})")
@@ -344,3 +354,25 @@ class Log:
             row = int(np.argmax(bad))
             kind = "a whole number in " if whole else "in "
             raise LogError(f"{self.path}: {name} = {values[row]:g} in row {row + 1} is not {kind}{low:g}..{high:g}")
+
+
+def _after_line(data: bytes, at: int) -> int:
+    """Where the line ends in which that byte is."""
+    found = data.find(b"\n", at)
+    return len(data) if found < 0 else found + 1
+
+
+def _pieces(data: bytes, start: int, end: int) -> Iterator[bytes]:
+    """Whole lines, some megabytes at a time."""
+    while start < end:
+        stop = min(_after_line(data, start + PIECE_BYTES), end)
+        yield data[start:stop]
+        start = stop
+
+
+def _decoded(data: bytes, start: int, stop: int, path: Path) -> str:
+    """Raises LogError."""
+    try:
+        return data[start:stop].decode()
+    except UnicodeDecodeError as exc:
+        raise LogError(f"{path} is not a log: byte {start + exc.start} is not UTF-8 text") from exc

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import datetime
 from types import TracebackType
@@ -143,7 +143,7 @@ class Bench:
     @property
     def log(self) -> Log:
         """What was measured since the first statement. Raises DataError where there is nothing yet."""
-        return self._hand.log(self._head())
+        return self._hand.log(self.head())
 
     @property
     def _hand(self) -> Hand:
@@ -212,7 +212,7 @@ class Bench:
         """Run any program from rest until it ends, then brake. The log is opened before anything moves."""
         self._end_statements()
         writer = LogWriter(
-            log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart
+            log_path, {**self.head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart
         )
         self._record(program, writer, progress, progress_every_s)
         return Log.read(writer.path) if writer.path is not None else Log.parse(writer.text())
@@ -224,10 +224,15 @@ class Bench:
         metadata: Mapping[str, str] | None = None,
         progress: Progress | None = None,
         progress_every_s: float = 0.1,
+        also: Callable[..., None] | None = None,
     ) -> int:
-        """As :meth:`play`, for sessions of any length: without *log_path* rows are counted, not kept. Gives rows."""
+        """As :meth:`play`, for sessions of any length: without *log_path* rows are counted, not kept. Gives rows.
+
+        *also* is given every row, as :meth:`fiohost.bench.writer.LogWriter.row` is.
+        """
         kind = NoLog if log_path is None else LogWriter
-        writer = kind(log_path, {**self._head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart)
+        writer = kind(log_path, {**self.head(), **(metadata or {})}, host_time=self.clock.real, behind=self._is_apart)
+        writer.also = also
         self._record(program, writer, progress, progress_every_s)
         return writer.rows
 
@@ -346,7 +351,7 @@ class Bench:
             return self._line.steps * self.sample_time_s
         return self.clock.now_s() - self._opened_s
 
-    def _head(self) -> dict[str, str]:
+    def head(self) -> dict[str, str]:
         """Metadata of every log of this bench."""
         return {
             "target": self.transport.name,

@@ -1,7 +1,12 @@
-"""The rows of a log as numbers: fast where the text is clean, careful where it is not."""
+"""The rows of a log as numbers: fast where the text is clean, careful where it is not.
+
+Large clean pieces are read by pyarrow where it is installed, other clean ones by numpy; what either refuses is read
+field by field. All three read a number as the double next to it, so it does not matter which did.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +17,7 @@ from fiohost.errors import LogError
 MAX_COLUMNS = 200
 MAX_BAD_SHARE = 0.1  # of all lines: a file with more broken lines than this is not a log
 MAX_NAMED_COLUMNS = 3
+LARGE_BYTES = 1_000_000  # from here on pyarrow is worth its import
 
 
 @dataclass(frozen=True)
@@ -22,46 +28,118 @@ class Rows:
     notes: tuple[str, ...]
 
 
-def parse_rows(text: str, names: list[str], needed: list[str], first_line: int, where: str) -> Rows:
-    """Read the lines after the header.
+def parse_rows(
+    pieces: Iterable[bytes], most_rows: int, names: list[str], needed: list[str], first_line: int, where: str,
+    at: int = 0,
+) -> Rows:  # fmt: skip
+    """Read the lines after the header, which come in *pieces* of whole lines, *most_rows* in all, from
+    byte *at* of the file on.
 
     Lines with too few or too many fields, or with text in one of the *needed* columns, are left out; other columns
     that hold text are left out whole. Raises LogError where a tenth of the lines or more are broken.
     """
     if len(names) > MAX_COLUMNS:
         raise LogError(f"{where} is not a log: {len(names)} columns, at most {MAX_COLUMNS} are read")
-    for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), (",\n", ",nan\n"), ("\n,", "\nnan,")):
-        text = text.replace(empty, filled)
+    columns = {name: np.empty(most_rows) for name in names}
+    textual: dict[str, None] = {}
+    bad = rows = kept = 0
+    first_bad = -1
+    for piece in pieces:
+        try:
+            found = _parse_piece(piece, names, needed)
+        except UnicodeDecodeError as exc:
+            raise LogError(f"{where} is not a log: byte {at + exc.start} is not UTF-8 text") from exc
+        at += len(piece)
+        if found.bad and first_bad < 0:
+            first_bad = first_line + found.bad[0]
+        bad, rows, first_line = bad + len(found.bad), rows + found.rows, first_line + found.lines
+        textual |= dict.fromkeys(found.textual)
+        columns = {name: values for name, values in columns.items() if name in found.columns}
+        before, kept = kept, kept + len(next(iter(found.columns.values())))
+        for name, values in columns.items():
+            values[before:kept] = found.columns[name]
+    if bad > max(1.0, MAX_BAD_SHARE * (rows + bad)):
+        raise LogError(
+            f"{where}: {bad} of {rows + bad} lines do not fit the {len(names)} columns "
+            f"(the first is line {first_bad}): this is not a log, or badly damaged"
+        )
+    notes: list[str] = []
+    if textual:
+        shown = ", ".join(list(textual)[:MAX_NAMED_COLUMNS])[:120]
+        notes.append(f"{len(textual)} columns that hold text ({shown})")
+    if bad:
+        notes.append(f"{bad} lines that do not fit the columns (the first is line {first_bad})")
+    return Rows({name: values[:kept] for name, values in columns.items()}, tuple(notes))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Whole rows of some lines, by column; the lines that are none, counted from the first; columns that hold text."""
+
+    columns: dict[str, NDArray[np.float64]]
+    rows: int
+    lines: int
+    bad: list[int]
+    textual: list[str]
+
+
+def _parse_piece(piece: bytes, names: list[str], needed: list[str]) -> _Piece:
+    found = _large(piece, names) if len(piece) >= LARGE_BYTES else None
+    if found is not None:
+        return found
+    text = piece.decode()
+    for empty, nan in ((",,", ",nan,"), (",,", ",nan,"), (",\n", ",nan\n"), ("\n,", "\nnan,")):
+        text = text.replace(empty, nan)
     if text.startswith(","):
         text = "nan" + text
     lines = text.split("\n")
+    if "#" not in text:
+        filled = [line for line in lines if line]
+        columns = _fast(filled, names)  # None where a line does not fit
+        if columns is not None:
+            return _Piece(columns, len(filled), len(lines) - (not lines[-1]), [], [])
     commas = len(names) - 1
     fits = [line.count(",") == commas and line[:1] != "#" for line in lines]
     if len(names) == 1:
         fits = [ok and bool(line.strip()) for ok, line in zip(fits, lines, strict=True)]
     bad = [i for i, ok in enumerate(fits) if not ok and lines[i].strip() and lines[i][0] != "#"]
-    good = [i for i, ok in enumerate(fits) if ok] if bad else []
     rows = [line for line, ok in zip(lines, fits, strict=True) if ok]
-
-    notes: list[str] = []
+    count = len(lines) - (not lines[-1])
     columns = _fast(rows, names)
-    if columns is None:
-        columns, broken, textual = _careful(rows, names, needed)
-        if broken.any():
-            numbers = good or [i for i, ok in enumerate(fits) if ok]
-            bad += [numbers[i] for i in np.flatnonzero(broken)]
-            columns = {name: values[~broken] for name, values in columns.items()}
-        if textual:
-            shown = ", ".join(textual[:MAX_NAMED_COLUMNS])[:120]
-            notes.append(f"{len(textual)} columns that hold text ({shown})")
-    if bad:
-        if len(bad) > MAX_BAD_SHARE * (len(rows) + len(bad)) and len(bad) > 1:
-            raise LogError(
-                f"{where}: {len(bad)} of {len(rows) + len(bad)} lines do not fit the {len(names)} columns "
-                f"(the first is line {first_line + min(bad)}): this is not a log, or badly damaged"
-            )
-        notes.append(f"{len(bad)} lines that do not fit the columns (the first is line {first_line + min(bad)})")
-    return Rows(columns, tuple(notes))
+    if columns is not None:
+        return _Piece(columns, len(rows), count, bad, [])
+    columns, broken, textual = _careful(rows, names, needed)
+    if broken.any():
+        numbers = [i for i, ok in enumerate(fits) if ok]
+        bad = sorted(bad + [numbers[i] for i in np.flatnonzero(broken)])
+        columns = {name: values[~broken] for name, values in columns.items()}
+    return _Piece(columns, len(rows), count, bad, textual)
+
+
+def _large(piece: bytes, names: list[str]) -> _Piece | None:
+    """A piece of clean rows by pyarrow; None without it, or where a line is anything else.
+
+    The last line may be a remark, as every log ends with one.
+    """
+    try:
+        from pyarrow import ArrowException, BufferReader, csv, float64
+    except ImportError:
+        return None
+    last = piece.rfind(b"\n", 0, len(piece) - 1) + 1
+    end = last if piece.startswith(b"#", last) else len(piece)
+    if b"\r" in piece or not piece.endswith(b"\n"):
+        return None  # what ends a line is not the same to both
+    try:
+        table = csv.read_csv(
+            BufferReader(memoryview(piece)[:end]),
+            csv.ReadOptions(column_names=names),
+            csv.ParseOptions(quote_char=False, double_quote=False),
+            csv.ConvertOptions(column_types=dict.fromkeys(names, float64()), null_values=[""]),
+        )
+    except ArrowException:
+        return None
+    columns = {name: table.column(name).to_numpy() for name in names}  # what is empty is NaN
+    return _Piece(columns, table.num_rows, piece.count(b"\n"), [], [])
 
 
 def _fast(rows: list[str], names: list[str]) -> dict[str, NDArray[np.float64]] | None:

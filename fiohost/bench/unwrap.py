@@ -30,10 +30,17 @@ class Unwrapper:
 
 def unwrap_counts(pos: NDArray[np.float64], counts_per_rev: int) -> NDArray[np.float64]:
     """Total counts of readings *pos*, shape (rows,), by the shortest path, starting at ``pos[0]``."""
-    steps = np.diff(pos)
+    return np.asarray(np.concatenate((pos[:1], pos[0] + np.cumsum(_shortest(pos, counts_per_rev)))), dtype=np.float64)
+
+
+def _shortest(pos: NDArray[np.float64], counts_per_rev: int) -> NDArray[np.float64]:
+    """Counts from each reading to the next, shape (rows - 1,), at most half a turn either way."""
     half = counts_per_rev // 2
-    steps = (steps + half) % counts_per_rev - half
-    return np.asarray(np.concatenate((pos[:1], pos[0] + np.cumsum(steps))), dtype=np.float64)
+    steps = np.diff(pos)
+    steps += half
+    steps %= counts_per_rev
+    steps -= half
+    return steps
 
 
 def ambiguous_steps(
@@ -46,11 +53,16 @@ def ambiguous_steps(
     """
     if pos.size < 2:
         return np.zeros(0, dtype=np.int64)
-    steps = np.abs(np.diff(unwrap_counts(pos, counts_per_rev)))
-    gaps_s = np.diff(time_s)
-    speed = np.where(gaps_s < 1.5 * sample_time_s, steps / gaps_s, 0.0)  # counts/s where no tick is missing
-    before = np.concatenate(([0.0], speed[:-1]))
-    after = np.concatenate((speed[1:], [0.0]))
-    expected = np.maximum(before, after) * gaps_s
+    steps = np.abs(_shortest(pos, counts_per_rev))
     limit = SAFE_TURN * counts_per_rev
-    return np.flatnonzero((steps > limit) | ((gaps_s > 1.5 * sample_time_s) & (expected > limit)))
+    far = steps > limit
+    gaps_s = np.diff(time_s)
+    gaps = np.flatnonzero(gaps_s > 1.5 * sample_time_s)
+    speeds = np.zeros(gaps.size)  # counts/s, of the step before and after each gap where no tick is missing
+    for beside in (gaps - 1, gaps + 1):
+        is_there = (beside >= 0) & (beside < steps.size)
+        at = beside[is_there]
+        is_whole = gaps_s[at] < 1.5 * sample_time_s
+        speeds[is_there] = np.maximum(speeds[is_there], np.where(is_whole, steps[at] / gaps_s[at], 0.0))
+    far[gaps] |= speeds * gaps_s[gaps] > limit
+    return np.flatnonzero(far)

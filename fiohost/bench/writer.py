@@ -11,7 +11,7 @@ import io
 import os
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -56,9 +56,10 @@ class LogWriter:
                 self._file, self.path = files.open_log(path, "the log")
             except FiohostError as exc:
                 raise LogError(f"{exc}; nothing was driven") from exc
+        self.also: Callable[..., None] | None = None  # is given every row too
         self._closed = False
         head = [f"# schema: {SCHEMA}\n"]
-        head += [f"# {_clean(k, 60)}: {_clean(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
+        head += [f"# {one_line(k, 60)}: {one_line(v, 500)}\n" for k, v in metadata.items() if v != "" and k != "schema"]
         self._head = "".join(head)
         self._ending_at = len(self._head.encode())
         self._names = ",".join((*COLUMNS, "host_time_s") if host_time else COLUMNS) + "\n"
@@ -94,6 +95,8 @@ class LogWriter:
         host_time_s: float | None = None,
     ) -> None:
         """Write one tick: the encoder reading of this tick and the command computed from it. Raises LogError."""
+        if self.also is not None:
+            self.also(time_s, duty_pct, c3, c4, pos, direction, ref_deg, angle_deg, host_time_s)
         ref = "" if ref_deg is None else f"{ref_deg:.9g}"
         angle = "" if angle_deg is None else f"{angle_deg:.12g}"
         line = f"{time_s:.9g},{duty_pct:.9g},{c3},{c4},{pos},{direction},{ref},{angle}"
@@ -201,6 +204,8 @@ class NoLog(LogWriter):
     """Counts its rows and keeps none: for long sessions that nobody records."""
 
     def row(self, *args: object) -> None:
+        if self.also is not None:
+            self.also(*args)
         self.rows += 1
 
 
@@ -213,11 +218,11 @@ def _sync(file: BinaryIO) -> None:
 
 
 def _fixed(line: str, size: int) -> str:
-    line = _clean(line, size).encode()[:size].decode(errors="ignore")
+    line = one_line(line, size).encode()[:size].decode(errors="ignore")
     return line + " " * (size - len(line.encode())) + "\n"
 
 
-def _clean(text: str, most: int) -> str:
+def one_line(text: str, most: int) -> str:
     """One line, without control characters, so that no value can forge a line of the file."""
     plain = str(text).encode(errors="surrogateescape").decode(errors="replace")  # a name in an odd locale
     return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]+", " ", plain)[:most].strip()

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fiohost import __version__
-from fiohost.bench.integrity import ended
-from fiohost.bench.log import Log
+from fiohost.bench.log import IMPORTED, Log
+from fiohost.bench.table_log import log_text, write_log
 from fiohost.errors import DataError, LogError
-from fiohost.files import Output, write_output
+from fiohost.files import Output
 from fiohost.importing.map import REFUSE, TableMap
 from fiohost.importing.raw import NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
@@ -22,7 +22,7 @@ DUTY_TOLERANCE_PCT = 0.01  # a command printed with few digits may exceed full s
 AMBIGUOUS_STEP = 0.4  # of a turn between rows: the shortest path may be the wrong one
 MOST_MISSING = 0.5  # of the rows
 LOOK_AHEAD = 6  # rows in which a speed must not fall further at its minimum
-MOST_SHOWN_CHARS = 500
+TIME_DIGITS = 9  # after the point: a nanosecond
 
 
 def log_from_table(table: Path, table_map: TableMap) -> Log:
@@ -35,7 +35,8 @@ def log_from_table(table: Path, table_map: TableMap) -> Log:
 
 def log_from_raw(raw: RawTable, table_map: TableMap, understood: Sequence[str] = ()) -> Log:
     """The same for a table that has been read; *understood* are sentences on a map that was found, not given."""
-    text, dropped = _convert(raw, table_map, understood)
+    columns, metadata, dropped = _convert(raw, table_map, understood)
+    text = log_text(columns, metadata).decode()
     return Log.parse(text, path=raw.path, sha256=raw.sha256, dropped=dropped)
 
 
@@ -46,14 +47,15 @@ def import_table(table: Path, table_map: TableMap, output: Output) -> Log:
 
 def import_raw(raw: RawTable, table_map: TableMap, output: Output, understood: Sequence[str] = ()) -> Log:
     """The same for a table that has been read."""
-    text, dropped = _convert(raw, table_map, understood)
-    written = write_output(output, ended(text))
-    log = Log.read(written)
-    return log if not dropped else Log.parse(text, path=written, sha256=log.sha256, dropped=dropped)
+    columns, metadata, dropped = _convert(raw, table_map, understood)
+    log = Log.read(write_log(output, columns, metadata))
+    return log if not dropped else replace(log, dropped=(*dropped, *log.dropped))
 
 
-def _convert(raw: RawTable, table_map: TableMap, understood: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """The log's text, and notes on what was dropped or is doubtful (missing ticks the log notes)."""
+def _convert(
+    raw: RawTable, table_map: TableMap, understood: Sequence[str]
+) -> tuple[dict[str, FloatArray], dict[str, str], tuple[str, ...]]:
+    """The log's columns and metadata, and notes on what was dropped or is doubtful (missing ticks the log notes)."""
     notes = list(raw.notes)
     columns = {name: _checked(raw.column(name), raw, table_map) for name in table_map.columns}
     keep = np.all([np.isfinite(values) for values in columns.values()], axis=0)
@@ -87,16 +89,9 @@ def _convert(raw: RawTable, table_map: TableMap, understood: Sequence[str]) -> t
     output = output * table_map.output_factor
     if not table_map.signed:
         output = signed_by(output, duty_pct)
-    names = ["time_s", "duty_pct", table_map.log_column, *(one.name for one in table_map.beside)]
-    beside = [columns[one.column] * one.scale for one in table_map.beside]
-
-    head = [
-        f"# {key}: {_one_line(value)}\n" for key, value in _metadata(raw, table_map, sample_time_s, understood) if value
-    ]
-    head.append(",".join(names) + "\n")
-    extra = ["".join(f",{value:.9g}" for value in row) for row in zip(*beside, strict=True)] if beside else [""] * rows
-    table = zip(time_s.tolist(), duty_pct.tolist(), output.tolist(), extra, strict=True)
-    return "".join([*head, *(f"{t:.15g},{u:.12g},{y:.12g}{more}\n" for t, u, y, more in table)]), tuple(notes)
+    written = {"time_s": np.round(time_s, TIME_DIGITS), "duty_pct": duty_pct, table_map.log_column: output}
+    written |= {one.name: columns[one.column] * one.scale for one in table_map.beside}
+    return written, dict(_metadata(raw, table_map, sample_time_s, understood)), tuple(notes)
 
 
 def _metadata(
@@ -106,7 +101,7 @@ def _metadata(
     turn = table_map.turn if table_map.unit == "counts" else 0.0
     return [
         ("schema", "fiohost.log/1"),
-        ("target", "import"),
+        ("target", IMPORTED),
         ("source", raw.path.name),
         ("source_sha256", raw.sha256),
         ("data_source", table_map.source),
@@ -178,6 +173,11 @@ def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: 
         else columns[table_map.command_column]
     )
     duty_pct = command * table_map.command_scale
+    if table_map.sign_column is not None:
+        way = columns[table_map.sign_column]
+        if len(np.unique(way)) > 2:
+            raise DataError(f"{path}: column {table_map.sign_column!r} has more than two values: it is no direction")
+        duty_pct = with_direction(duty_pct, way, table_map.forward)
     largest = float(np.abs(duty_pct).max())
     if largest > 100.0 + DUTY_TOLERANCE_PCT:
         raise DataError(
@@ -185,6 +185,11 @@ def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: 
             "does not turn it into percent"
         )
     return np.clip(duty_pct, -100.0, 100.0)
+
+
+def with_direction(magnitude: FloatArray, way: FloatArray, forward: float) -> FloatArray:
+    """A command without sign, shape (rows,), with that of a column of two values, of which *forward* is one."""
+    return np.where(way == forward, magnitude, -magnitude)
 
 
 def _unwrap(values: FloatArray, wrap: float) -> tuple[FloatArray, str]:
@@ -196,7 +201,3 @@ def _unwrap(values: FloatArray, wrap: float) -> tuple[FloatArray, str]:
     if steps.size and float(steps.max()) > AMBIGUOUS_STEP * wrap:
         return unwrapped, f"the angle moves {steps.max() / wrap:.2f} of a turn between rows: its unwrapping is doubtful"
     return unwrapped, ""
-
-
-def _one_line(value: str) -> str:
-    return re.sub(r"\s+", " ", value)[:MOST_SHOWN_CHARS]

@@ -47,6 +47,8 @@ class TableMap:
     command_scale: float = 1.0  # to percent of full scale
     full_scale_V: float = 0.0  # 0: the scale is told
     command_unit: str = ""  # unit of the command in the table, for people; "" where not said
+    sign_column: str | None = None  # of two values, where the command has no sign: one is forward
+    forward: float = 1.0  # that value
     delay_ticks: int = 0
     pwm_hz: float = 0.0  # of the bridge, 0 where it is not known
     output_scale: float = 1.0
@@ -92,6 +94,10 @@ class TableMap:
             raise command.fail("full_scale_V and scale say the same: give one of them")
         command_scale = _nonzero(command, "scale", command.number("scale", 1.0))
         command_unit = command.text("unit", "V" if full_scale_V else "")
+        sign_column = command.text("sign_column") if "sign_column" in command else None
+        if "forward" in command and sign_column is None:
+            raise command.fail("forward is a value of the sign_column, which is not given")
+        forward = command.number("forward", 1.0)
         delay_ticks = command.integer("delay_ticks", 0, low=0, high=10_000)
         pwm_hz = command.number("pwm_hz", low=10.0, high=1e6) if "pwm_hz" in command else 0.0
         command.finish()
@@ -130,7 +136,7 @@ class TableMap:
             time_column=time_column, time_scale=time_scale, time_wrap=time_wrap, sample_time_s=sample_time_s,
             command_column=command_column, constant_command=constant,
             command_scale=100.0 / full_scale_V if full_scale_V else command_scale, full_scale_V=full_scale_V,
-            command_unit=command_unit, delay_ticks=delay_ticks, pwm_hz=pwm_hz,
+            command_unit=command_unit, sign_column=sign_column, forward=forward, delay_ticks=delay_ticks, pwm_hz=pwm_hz,
             output_column=output_column, unit=unit, output_scale=output_scale, output_offset=output_offset,
             signed=signed, average=average, quantum=quantum, wrap=wrap, counts_per_rev=counts_per_rev,
             common_zero=common_zero, noise_rms=noise_rms,
@@ -159,7 +165,8 @@ class TableMap:
     @property
     def columns(self) -> list[str]:
         """Names of the table's columns that are read."""
-        names = [self.time_column, self.command_column, self.output_column, *(one.column for one in self.beside)]
+        names = [self.time_column, self.command_column, self.sign_column, self.output_column]
+        names += [one.column for one in self.beside]
         return list(dict.fromkeys(name for name in names if name is not None))
 
     def to_toml(self, comments: tuple[str, ...] = ()) -> str:
@@ -182,6 +189,8 @@ class TableMap:
         )
         lines += [f"unit = {_quoted(self.command_unit)}"] if self.command_unit else []
         lines += [f"full_scale_V = {self.full_scale_V!r}" if self.full_scale_V else f"scale = {self.command_scale!r}"]
+        if self.sign_column is not None:
+            lines += [f"sign_column = {_quoted(self.sign_column)}", f"forward = {self.forward!r}"]
         lines += [f"delay_ticks = {self.delay_ticks}"]
         lines += [f"pwm_hz = {self.pwm_hz!r}"] if self.pwm_hz else []
         lines += ["", "[output]", f"column = {_quoted(self.output_column)}", f'quantity = "{self.quantity}"']

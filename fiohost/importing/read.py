@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fiohost import files
+from fiohost.bench.log import MAX_LOG_BYTES
 from fiohost.errors import LogError
 from fiohost.importing.raw import MAX_BYTES, RawTable
 from fiohost.importing.text import read_text_table
@@ -38,7 +39,7 @@ def read_raw(path: Path, wanted: Sequence[str] = ()) -> RawTable:
 
 def first_bytes(path: Path, what: str = "the table") -> bytes:
     """The first kilobyte of a file; *what* names its kind in messages. Raises LogError."""
-    with files.open_input(path, MAX_BYTES, what, LogError) as file:
+    with files.open_input(path, MAX_LOG_BYTES if what == "the log" else MAX_BYTES, what, LogError) as file:
         return file.read(1024)
 
 

@@ -16,6 +16,8 @@ from fiohost.errors import ConfigError, DataError
 from fiohost.importing import roles
 from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
+from fiohost.importing.convert import with_direction
+from fiohost.importing.direction import direction_of
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
 from fiohost.importing.raw import TEXT, FloatArray, RawTable
@@ -86,14 +88,20 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     scale = _scale(raw, command, heads, answers, found, others)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
-    signed = _signs(raw, command, output, sensor, scale, found)
+    duty, speed = _duty_and_speed(command, output, sensor, scale)
+    direction = direction_of(heads, duty, speed, found)
+    if direction is not None:
+        duty = with_direction(duty, raw.column(direction[0]).values, direction[1])
+    signed = _signs(raw, command, output, sensor, duty, speed, found)
     beside = _beside(heads, found)
     needed = [c for c in (clock.column, command.column.name, output.column.name, *(b.column for b in beside)) if c]
+    needed += [direction[0]] if direction else []
     missing = any(raw.column(name).missing for name in needed)
     table_map = replace(
         sensor, name="found", time_column=clock.column, time_scale=clock.scale, time_wrap=clock.wrap,
         sample_time_s=clock.sample_time_s, command_column=command.column.name, command_scale=scale.scale,
         full_scale_V=scale.full_scale_V, command_unit=scale.unit, signed=signed, beside=beside,
+        sign_column=direction[0] if direction else None, forward=direction[1] if direction else 1.0,
         missing=LEAVE_OUT if missing else REFUSE,
     )  # fmt: skip
     unused = [name for name in raw.names if name not in found.used]
@@ -214,13 +222,19 @@ def _scale(
     return scale
 
 
-def _signs(raw: RawTable, command: Head, output: Head, sensor: TableMap, scale: Scale, found: Found) -> bool:
-    """Whether the output has a sign; a command without one on a motor that turned both ways is unknown."""
+def _duty_and_speed(command: Head, output: Head, sensor: TableMap, scale: Scale) -> tuple[FloatArray, FloatArray]:
+    """Command in percent and speed in any unit, each (rows,)."""
     duty = command.column.values * scale.scale
     values = output.column.values * sensor.output_scale
     if sensor.wrap:
         values = np.unwrap(np.nan_to_num(values), period=sensor.wrap)
-    speed = values if sensor.quantity == "speed" else np.gradient(values)
+    return duty, values if sensor.quantity == "speed" else np.gradient(values)
+
+
+def _signs(
+    raw: RawTable, command: Head, output: Head, sensor: TableMap, duty: FloatArray, speed: FloatArray, found: Found
+) -> bool:
+    """Whether the output has a sign; a command without one on a motor that turned both ways is unknown."""
     whole = np.isfinite(duty) & np.isfinite(speed)
     duty, speed = duty[whole], speed[whole]
     if not duty.size:

@@ -234,7 +234,7 @@ class Layout:
 def _numbers(fields: Sequence[Field], length: int) -> tuple[Callable[..., bytes], Callable[[bytes], tuple[Value, ...]]]:
     """Pack and unpack of the fields alone, gaps and marks as zeros."""
     orders = {_order_sign(field) for field in fields}
-    if len(orders) <= 1 and all(field.scale == 1.0 for field in fields):  # the common case, without a detour
+    if len(orders) <= 1 and not any(_rounds(field) for field in fields):  # the common case, without a detour
         form, at = "".join(orders) or "<", 0
         for field in fields:
             form += f"{field.offset - at}x" + TYPES[field.type]
@@ -255,13 +255,18 @@ def _numbers(fields: Sequence[Field], length: int) -> tuple[Callable[..., bytes]
     return pack, unpack
 
 
+def _rounds(field: Field) -> bool:
+    """Whether its number is not the value itself: it has a scale, or a duty is carried in whole numbers."""
+    return field.scale != 1.0 or (field.name == "duty_pct" and field.is_whole)
+
+
 def _order_sign(field: Field) -> str:
     return ">" if field.byte_order == "big" else "<"
 
 
 def _raw(value: Value, field: Field) -> Value:
-    """The number on the wire, of a scaled whole-number field the nearest one."""
-    if field.scale == 1.0:
+    """The number on the wire, of a whole-number field that is scaled or carries the duty the nearest one."""
+    if field.scale == 1.0 and not _rounds(field):
         return value
     return round(value / field.scale) if field.is_whole else value / field.scale
 
