@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.options import PATH, parse_number, profile_option
-from fiohost.cli.output import Output, json_option, output_for
+from fiohost.cli.output import json_option, output_for
 from fiohost.errors import ConfigError
 from fiohost.files import FreeName, claim, write_output
 
@@ -94,7 +94,7 @@ def design(
         motor, controller, steps_deg=sizes, compensation_pct=(part * deadband[0], part * deadband[1]),
         derivative_on=derivative_on, threshold_counts=threshold, **numbers,
     )  # fmt: skip
-    say_design(out, found)
+    out(str(found))
     if save_to is not None:
         found.settings.save(save_to, f"designed by fiohost for {found.model.expression}")
         out(f"controller written to {save_to}; fiohost run square_170_190 --controller {save_to}")
@@ -120,43 +120,3 @@ def _emit(found: Design, kind: str, path: Path | None) -> Path:
         return write_output(path or FreeName(Path("fiohost_controller.h")), text)
     text = matlab_script(found.model, found.settings, found.sample_time_s, max(s.step_deg for s in found.found))
     return write_output(path or FreeName(Path("fiohost_loop.m")), text)
-
-
-def say_design(out: Output, found: Design) -> None:
-    """The gains, a table of the responses, and what of the specification is met."""
-    asked = found.asked
-    numbers = found.settings.describe_numbers().items()
-    out(f"{found.settings.kind.upper()} for {found.model.expression}")
-    out(
-        "  "
-        + "\n  ".join(f"{name:<17} {value if isinstance(value, str) else f'{value:.4g}'}" for name, value in numbers)
-    )
-    out("\nstep            overshoot   settling   error      rise")
-    for one in found.found:
-        if one.step_deg > 0.0:
-            figures = f"{one.overshoot_pct:6.2f} %   {one.settling_s:6.3f} s   {one.error_deg:5.2f} deg"
-            out(f"{one.step_deg:8.1f} deg    {figures}  {one.rise_s:6.3f} s")
-    out(f"asked for     < {asked.overshoot_pct:6.2f} % < {asked.settling_s:6.3f} s < {asked.sse_deg:5.2f} deg")
-    off = {name: max(getattr(one, name) for one in found.off) for name in ("overshoot_pct", "settling_s", "error_deg")}
-    out(
-        f"model off       {off['overshoot_pct']:6.2f} %   {off['settling_s']:6.3f} s   {off['error_deg']:5.2f} deg   "
-        "(worst: gain and lag off by 10 %, friction by 20 %, a tick more of delay)"
-    )
-    if found.feasible:
-        robust = ", and on all models that are off" if found.robust else ", but not on all models that are off"
-        out(f"the specification is met on the model{robust}")
-    else:
-        out(
-            f"NOT FEASIBLE: no {found.settings.kind} controller found meets the specification; nearest that can be met:"
-        )
-        if not found.nearest:
-            out("  none: with no gains that were tried does the loop come to rest")
-        for near in found.nearest:
-            spec, gains = near.asked, near.settings.describe_numbers()
-            kept = ", ".join(f"{name} {value:.4g}" for name, value in gains.items() if name[0] == "k")
-            out(
-                f" overshoot < {spec.overshoot_pct:g} %, settling < {spec.settling_s:g} s, error < {spec.sse_deg:g} deg"
-            )
-            out(f"    ({' and '.join(near.gives_way)} give way; {kept})")
-    for note in found.notes:
-        out(f"note: {note}")

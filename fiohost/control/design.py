@@ -56,9 +56,9 @@ class Nearest:
     settings: ControlSettings
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Design:
-    """A controller, what it does at each step on the model, and the worst on models that are off.
+    """A controller, what it does at each step on the model, and the worst on models that are off; ``print`` shows it.
 
     ``nearest`` are specifications that can be met, where what was asked for cannot.
     """
@@ -94,6 +94,15 @@ class Design:
         """The largest figures of all steps on the model."""
         names = ("overshoot_pct", "settling_s", "error_deg", "rise_s", "reversals_per_s")
         return {name: max(getattr(one, name) for one in self.found) for name in names}
+
+    def __str__(self) -> str:
+        from fiohost.control.said import lines_of
+
+        return "\n".join(lines_of(self))
+
+    def __repr__(self) -> str:
+        met = "met" if self.robust and self.feasible else "met on the model only" if self.feasible else "not feasible"
+        return f"<Design: {self.settings.kind} for {self.model.expression}, specification {met}; print() shows it>"
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -303,6 +312,10 @@ class _Search:
         notes = []
         if not FRICTION.keys() & set(self.model.effects):
             notes.append("the model has neither friction nor deadband: on a bench with either the error will be larger")
+        if seen := self.model.seen:
+            most = min(settings.limit_pct, max(abs(s) for s in self.steps_deg) * settings.kp_pct_per_deg)
+            ask = replace(seen, duty_pct=(min(-most, seen.duty_pct[0]), max(most, seen.duty_pct[1])))
+            notes += [f"the model extrapolates: {part}" for part in seen.beyond(ask)]
         return Design(
             settings, self.asked, self.model, self.look(settings, self.nominal), self.look(settings, self.off),
             self.bench.tick_s, self.bench.delay_s, self.bench.quantum_deg, self.duration_s, notes=notes,

@@ -15,6 +15,7 @@ from fiohost.motor.compiled import compiled, inlined
 
 TAIL = 0.1  # share of the run whose mean is the final value
 STANDS_STILL = 1e-6  # a change of this share of what was asked for is none
+ROUND_OFF_PCT = 1e-6  # no overshoot: so much a mean of equal readings differs from them, or a slow approach
 MOST_OVERSHOOT_PCT = 1000.0
 LEAST_CHANGE = 1e-150  # of less, shares overflow
 
@@ -104,7 +105,8 @@ def _figures(time_s, y, start, target, times_of_target, found):  # type: ignore[
     for k in range(n):
         if (y[k] - y[peak]) * change > 0.0:
             peak = k
-    found[0] = min(max(100.0 * ((y[peak] - start) / change - 1.0), 0.0), MOST_OVERSHOOT_PCT)
+    over = 100.0 * ((y[peak] - start) / change - 1.0)
+    found[0] = min(over, MOST_OVERSHOOT_PCT) if over > ROUND_OFF_PCT else 0.0
     found[2] = time_s[peak]
     found[1] = _first(time_s, y, start, way, 0.9) - _first(time_s, y, start, way, 0.1)
     found[3] = _settled(time_s, y, start, way, 0.02)

@@ -25,7 +25,7 @@ MASSES_KG = (0.0, 0.067, 0.119, 0.173, 0.234, 0.293, 0.353, 0.413, 0.471, 0.532,
 LIFT_POWER = 50.0
 SPEED_POWERS = (20.0, 40.0, 60.0, 80.0, 100.0)
 HAND_NM_PER_RAD = 0.1  # soft enough for the motor's own damping, stiff enough to be at rest within seconds
-RISE_POWERS, RISE_RUN_S, RISE_TICKS = (100.0, -100.0, 60.0, -60.0), 0.2, 3
+RISE_POWERS, RISE_RUN_S, RISE_TICKS = (40.0, -40.0, 30.0, -30.0), 0.2, 3  # below what a supply of 1 A would cut
 STALL_S, LIFT_S, STEP_S, ON_S, OFF_S = 2.0, 1.2, 1.5, 1.0, 4.0
 READ_S = 0.3
 TURNS_RAD_S = 0.2
@@ -49,6 +49,24 @@ class _Meter:
         return round(float(volts) / METER_V) * METER_V, round(float(amperes) / METER_A) * METER_A
 
 
+class _MeteredLaw(OpenLaw):
+    """A voltage that is asked for, and what of it the winding gets: bridges lose some."""
+
+    def __init__(self, lab: Instruments, volt: float, ticks: int, supply_V: float) -> None:
+        super().__init__(np.full(ticks, volt), 100.0 / supply_V)
+        self._lab = lab
+        self._seen: list[float] = []
+
+    def step(self, k: int, angle_deg: float) -> tuple[float, float]:
+        self._seen.append(self._lab.voltage_V)
+        return super().step(k, angle_deg)
+
+    @property
+    def steady_V(self) -> float:
+        """As a meter shows it; the median, as it begins at rest."""
+        return round(float(np.median(self._seen)) / METER_V) * METER_V
+
+
 def measure(
     bench: Bench,
     port: str,
@@ -67,7 +85,7 @@ def measure(
     lab = Instruments.of(bench)
     found = Readings(port=port, supply_V=supply_V, source=f"virtual meters at {bench.transport.name}")
     found.stall = [_stalled(bench, lab, power) for power in stall_powers]
-    found.rise = [row for power in RISE_POWERS for row in _risen(bench, power, supply_V)]
+    found.rise = [row for power in RISE_POWERS for row in _risen(bench, lab, power, supply_V)]
     R_ohm = float(np.mean([v / i for v, i in found.stall]))
     winding_s = (rough_H(found.rise, R_ohm) if L_H is None else L_H) / R_ohm
     for mass in masses_kg:
@@ -121,12 +139,13 @@ def _lifted(bench: Bench, lab: Instruments, mass_kg: float) -> tuple[float, floa
 def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, winding_s: float) -> tuple[NoLoad, float]:
     """Steady voltage, speed and current without load, and the time constant on the way there."""
     ticks = round(STEP_S / bench.sample_time_s) + 1
-    volt = power / 100.0 * supply_V
-    run = play_target(bench, OpenLaw(np.full(ticks, volt), 100.0 / supply_V), STEP_S, supply_V)
+    law = _MeteredLaw(lab, power / 100.0 * supply_V, ticks, supply_V)
+    run = play_target(bench, law, STEP_S, supply_V)
+    volt = law.steady_V
     fit = fit_step(run, volt, winding_s)
     assert run.current_A is not None
     current = float(np.mean(run.current_A[run.time_s > run.time_s[-1] - READ_S]))
-    meter = NoLoad(round(volt / METER_V) * METER_V, fit.steady_rad_s, round(current / METER_A) * METER_A)
+    meter = NoLoad(volt, fit.steady_rad_s, round(current / METER_A) * METER_A)
     return meter, fit.tau_s
 
 
@@ -146,13 +165,13 @@ def _run_down(bench: Bench) -> tuple[tuple[float, float], tuple[list[float], lis
     return (float(since[off][slow[0]]), before), curve
 
 
-def _risen(bench: Bench, power: float, supply_V: float) -> list[tuple[float, float, float]]:
+def _risen(bench: Bench, lab: Instruments, power: float, supply_V: float) -> list[tuple[float, float, float]]:
     """Voltage, time and current at the first ticks after a step of voltage from rest."""
-    volt = power / 100.0 * supply_V
-    run = play_target(bench, OpenLaw(np.full(60, volt), 100.0 / supply_V), RISE_RUN_S, supply_V)
+    law = _MeteredLaw(lab, power / 100.0 * supply_V, 60, supply_V)
+    run = play_target(bench, law, RISE_RUN_S, supply_V)
     assert run.current_A is not None
     began = int(np.flatnonzero(np.abs(run.volts) > 0.0)[0])
     return [
-        (volt, k * bench.sample_time_s, round(float(run.current_A[began + k]) / METER_A) * METER_A)
+        (law.steady_V, k * bench.sample_time_s, round(float(run.current_A[began + k]) / METER_A) * METER_A)
         for k in range(1, RISE_TICKS + 1)
     ]

@@ -14,11 +14,13 @@ from typing import Protocol
 
 import numpy as np
 
+from fiohost.bench.guard import STALL_COUNTS
+from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench
 from fiohost.bench.program import Answer
 from fiohost.control.controllers import Controller
 from fiohost.control.law import saturate
-from fiohost.errors import ConfigError
+from fiohost.errors import ConfigError, GuardError
 from fiohost.labs.constants import MotorConstants
 from fiohost.motor.hooks import measure
 from fiohost.motor.kernel import simulate
@@ -30,6 +32,7 @@ from fiohost.wire.messages import Command
 
 IDEAL_TICK_S = 0.0005
 SMOOTHING_TICKS = 9  # of a target's speed, by a parabola through so many readings: 0.07 rad/s of count noise at 5 ms
+DRIVEN_PCT, DRIVEN_S = 20.0, 0.5  # so strong and so long, a motor of the labs has turned
 _LOAD, _LIMIT = slot("constant_load.level_pct"), slot("current_limit.limit_pct")
 
 
@@ -292,6 +295,7 @@ def play_target(
         if lab is not None:
             lab.disturb(0.0)
             lab.limit_current(None)
+    check_moved(log)
     times, angle = log.time_s, log.output - log.output[0]
     ticks_of = np.rint(times / bench.sample_time_s).astype(np.int64)  # a lost tick has no row
     duty = np.concatenate(([0.0], log.duty_pct))[: len(log)]  # it acts a tick after the reading that it answers
@@ -300,6 +304,18 @@ def play_target(
     refs = np.array(program.refs[: len(log)])
     speed = smooth_speed(times, angle)
     return Run("target", times, refs, angle, speed, duty / 100.0 * volts_at_full_duty, current, log_path)
+
+
+def check_moved(log: Log) -> None:
+    """A lab's runs are shorter than a guard's patience: one whose shaft stood all the time, though driven, says nothing
+    about a motor. Raises GuardError.
+    """
+    driven_s = log.sample_time_s * int(np.count_nonzero(np.abs(log.duty_pct) >= DRIVEN_PCT))
+    if driven_s >= DRIVEN_S and np.ptp(log.output) <= STALL_COUNTS * log.output_quantum:
+        raise GuardError(
+            f"the shaft stood for the whole run though the motor was driven with {DRIVEN_PCT:g} % and more for "
+            f"{driven_s:.2g} s: it is held, or the encoder, the supply or the bridge has failed"
+        )
 
 
 def smooth_speed(time_s: np.ndarray, angle_deg: np.ndarray) -> np.ndarray:

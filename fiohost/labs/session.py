@@ -104,18 +104,20 @@ class Session:
     limits: Limits = SATURATION["both"]
     notes: list[str] = field(default_factory=list)
     logs: dict[str, str] = field(default_factory=dict)
+    said: Callable[[str], None] = lambda text: None  # what is being done now
 
     @classmethod
     @contextmanager
     def open(
-        cls, target: str, constants: str, folder: Path, *, seed: int | None = None, saturation: str = "both"
-    ) -> Iterator[Session]:
-        """Read the constants, open the target. Raises FiohostError."""
+        cls, target: str, constants: str, folder: Path, *, seed: int | None = None, saturation: str = "both",
+        said: Callable[[str], None] = lambda text: None,
+    ) -> Iterator[Session]:  # fmt: skip
+        """Read the constants, open the target; *said* is told what is being done. Raises FiohostError."""
         if saturation not in SATURATION:
             raise ConfigError(f"unknown saturation {saturation!r}; {nearest(saturation, SATURATION)}")
         known = MotorConstants.load(constants)
         with connect(target, seed=seed) as bench:
-            session = cls(known, bench, folder, SATURATION[saturation])
+            session = cls(known, bench, folder, SATURATION[saturation], said=said)
             full = target_volts(bench, known)
             if abs(full - known.supply_V) > 1e-3 * known.supply_V:
                 session.note(
@@ -178,6 +180,7 @@ class Session:
         if torque is not None and not self.presses:
             self.note(f"nothing presses on {self.target}: the disturbance is on the model only")
             torque = None
+        self.said(f"{case}: {duration_s:.3g} s on {self.target}")
         path = self.folder / f"{case}.csv"
         about = {"experiment": case, **(metadata or {})}
         run = play_target(

@@ -10,6 +10,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_number, parse_seed, wire_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 from fiohost.files import claim
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option("--readings", "readings_from", metavar="F", help="Readings in TOML or CSV; without, virtual meters read.")
-@click.option("--target", default="sim:nxt_no_load", show_default=True, metavar="T", help="The board to read at.")
+@click.option("--target", default="sim:nxt_lego", show_default=True, metavar="T", help="The board to read at.")
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
 @wire_options
 @click.option(
@@ -56,7 +57,7 @@ def characterise(
         claim(save_to)
 
     from fiohost.labs.characterise import characterise as evaluate
-    from fiohost.labs.characterise import constants_of, solve
+    from fiohost.labs.solve_constants import constants_of, solve
 
     if readings_from is not None:
         readings = Readings.load(Path(readings_from), port)
@@ -82,5 +83,6 @@ def _measured(target: str, seed: str | None, port: str, L_H: float | None, full_
     from fiohost.labs.measure import measure
     from fiohost.labs.play import target_volts
 
-    with connect(target, seed=parse_seed(seed)) as bench:
+    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+        doing(f"meters at {target}: stalled, lifting, running free, running down")
         return measure(bench, port, L_H, full_V if full_V is not None else target_volts(bench, TEXT["no_load"]))

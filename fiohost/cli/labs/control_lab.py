@@ -10,6 +10,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_number, parse_numbers, parse_seed, wire_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -68,15 +69,17 @@ def _do(options: dict[str, Any], experiment: Callable[[Session], LabResult]) -> 
     out = output_for(options["json_to"])
     folder = report_folder(options["report"])
     seed = parse_seed(options["seed"])
-    with Session.open(
-        options["target"], options["constants"], folder, seed=seed, saturation=options["saturation"]
-    ) as session:
-        result = experiment(session)
-        model = session.constants.model()
-    if options["name_it"]:
-        from fiohost.labs.difference import with_difference
+    with progress() as doing:
+        with Session.open(
+            options["target"], options["constants"], folder, seed=seed, saturation=options["saturation"], said=doing
+        ) as session:
+            result = experiment(session)
+            model, amperes = session.constants.model(), session.bench_limits.amperes
+            limited = None if amperes is None else session.constants.model(current_limit_A=amperes)
+        if options["name_it"]:
+            from fiohost.labs.difference import with_difference
 
-        result = with_difference(result, model, out)
+            result = with_difference(result, model, doing, limited=limited)
     present(result, out, folder)
 
 

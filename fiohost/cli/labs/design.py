@@ -7,6 +7,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_number, parse_seed, profile_option, target_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 
 
 @click.command()
@@ -46,6 +47,7 @@ def design(
 
     known = None if profile is None else BenchProfile.load(profile)
     motor = None if model is None else Model.parse(model)
-    with connect(target, seed=parse_seed(seed)) as bench:
+    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+        doing(f"a design on the model, then three squares on the target, on {target}")
         result = design_lab(bench, folder, Specification(*numbers), controller, known, motor)
     present(result, out, folder)

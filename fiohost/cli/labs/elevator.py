@@ -10,6 +10,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_number, parse_seed, wire_options
 from fiohost.cli.output import Output, output_for
+from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def elevator(
     from fiohost.bench.connect import connect
     from fiohost.labs.elevator.buttons import parse_presses
     from fiohost.labs.elevator.car import Design
-    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, Plan, experiment
+    from fiohost.labs.elevator.experiment import DEFAULT_PRESSES, TEXT_LIMIT_A, Plan, experiment
     from fiohost.labs.elevator.parts import Parts
 
     ride = Design(
@@ -124,13 +125,20 @@ def elevator(
         full_scale_V=parse_number("--full-scale", full_scale, 0.5, 1000.0, "V"),
     )
     folder = report_folder(report)
-    with connect(target, seed=parse_seed(seed), realtime=live) as bench:
-        result = _live(bench, plan, folder, out) if live else experiment(bench, plan, folder, out)
-    if name_it and not live:
-        from fiohost.labs.difference import with_difference
-        from fiohost.labs.elevator.car import car_model
+    if live:
+        with connect(target, seed=parse_seed(seed), realtime=True) as bench:
+            result = _live(bench, plan, folder, out)
+        present(result, out, folder)
+        return
+    with progress() as doing:
+        with connect(target, seed=parse_seed(seed)) as bench:
+            result = experiment(bench, plan, folder, doing)
+        if name_it:
+            from fiohost.labs.difference import with_difference
+            from fiohost.labs.elevator.car import car_model
 
-        result = with_difference(result, car_model(), out)
+            limited = car_model(current_limit_A=plan.current_limit_A or TEXT_LIMIT_A)
+            result = with_difference(result, car_model(), doing, limited=limited)
     present(result, out, folder)
 
 

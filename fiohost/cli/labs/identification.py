@@ -7,6 +7,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_seed, profile_option, target_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 
 
 @click.command()
@@ -30,6 +31,7 @@ def identification(target: str, seed: str | None, profile: str | None, report: s
     from fiohost.labs.identification import identification as run
 
     known = None if profile is None else BenchProfile.load(profile)
-    with connect(target, seed=parse_seed(seed)) as bench:
+    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+        doing(f"the square wave, then both methods and a fit with friction, on {target}")
         result = run(bench, folder, known)
     present(result, out, folder)

@@ -7,6 +7,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_seed, target_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 
 
 @click.command()
@@ -28,6 +29,7 @@ def manual(target: str, seed: str | None, report: str | None, json_to: str | Non
     from fiohost.bench.connect import connect
     from fiohost.labs.manual import manual_control
 
-    with connect(target, seed=parse_seed(seed)) as bench:
+    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+        doing(f"a staircase of duties, slow ramps, brake and standby, on {target}")
         result = manual_control(bench, folder)
     present(result, out, folder)

@@ -9,6 +9,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options
 from fiohost.cli.options import parse_seed, profile_option, target_options
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 from fiohost.files import claim
 
 
@@ -42,7 +43,8 @@ def precompensation(
 
     known = None if profile is None else BenchProfile.load(profile)
     law = None if controller is None else ControlSettings.load(Path(controller))
-    with connect(target, seed=parse_seed(seed)) as bench:
+    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+        doing(f"one loop for each share of the deadband, on {target}")
         result, kept = run(bench, folder, known, law)
     if save_to is not None:
         kept.save(save_to)

@@ -10,6 +10,7 @@ import click
 
 from fiohost import files
 from fiohost.cli.output import Output, json_option
+from fiohost.cli.progress import progress
 
 if TYPE_CHECKING:
     from fiohost.labs.result import LabResult, Table
@@ -92,9 +93,11 @@ def show(result: LabResult, out: Output, folder: Path) -> dict[str, Any]:
 
     made = dict(result.files)
     pictures = {}
-    for name, draw in result.figures.items():
-        path = save_figure(draw(), folder / f"{name}.png")
-        made[name], pictures[name] = str(path), path.read_bytes()
+    with progress() as doing:
+        for name, draw in result.figures.items():
+            doing(f"picture {name}")
+            path = save_figure(draw(), folder / f"{name}.png")
+            made[name], pictures[name] = str(path), path.read_bytes()
     made["page"] = str(write_lab_page(folder / f"{result.name}.html", result, pictures, made))
     for role, name in made.items():
         out(f"{role}: {name}")

@@ -7,6 +7,7 @@ import click
 from fiohost.cli.labs.present import present, report_folder, result_options, show
 from fiohost.cli.options import parse_number
 from fiohost.cli.output import output_for
+from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
 
 
@@ -48,7 +49,10 @@ def problems(
     folder = report_folder(report)
     found = []
     for item in PROBLEMS.values():
-        found.append(show(item.solve(), out, folder))
+        with progress() as doing:
+            doing(f"problem D-{item.number}: {item.about}")
+            solved = item.solve()
+        found.append(show(solved, out, folder))
         out()
     out.json(found)
 

@@ -20,6 +20,7 @@ TITLE = "Elevator (control lab appendix, section D-2)"
 DEFAULT_PRESSES = "up@1,up@3.5,up@6:0.7,up@10:0.7,up@14,down@16.5:0.7,down@20.5,down@23:0.7,down@27:0.7"
 ON = ("ideal", "model", "target")
 TEXT_LIMIT_A = 1.0  # of the ideal model, as in the text's Fig. D-39
+SMALL, SMALL_SHARES = 0.7, (1.0, 0.8, 0.6)  # of the current's limit, and of the power that reaches so far
 TEXTS_CHOICE = Design(5.0, power_pct=40.0)  # section D-2-6
 
 
@@ -107,6 +108,11 @@ def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], Non
             run = _run(bench, plan, design, up_and_down, path)
             part.runs[name] = run._replace(ideal=ideal(MOTOR, design, TEXT_LIMIT_A))
             files[f"log of {design.label}"] = str(path)
+    for number, design in enumerate(small_moves(plan), start=1):
+        said(f"up and down, little power: {design.label}")
+        path = folder / f"elevator_small_{number}.csv"
+        _run(bench, plan, design, up_and_down, path)
+        files[f"log of a small move, {design.label}"] = str(path)
     said(f"ride by buttons: {plan.ride.label}, {len(plan.presses)} presses")
     path = folder / "elevator_ride.csv"
     ride = _run(bench, plan, plan.ride, ByButtons(plan.presses), path)
@@ -128,6 +134,16 @@ def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], Non
         figures={**{f"elevator_{s.key}": partial(tell.draw, s) for s in series if s.runs}, "elevator_ride": told.draw},
         files={**files, "log of the ride": str(path)},
     )
+
+
+def small_moves(plan: Plan) -> list[Design]:
+    """Moves with so little power that no limit of the current cuts them: their logs say what a linear model lacks.
+
+    The current is largest where the car stands; three powers, as friction and a lost voltage differ by the speed.
+    """
+    amperes = TEXT_LIMIT_A if plan.current_limit_A is None else plan.current_limit_A
+    most_pct = min(100.0 * SMALL * amperes * MOTOR.R_ohm / plan.full_scale_V, 100.0)
+    return [Design(plan.power_with, power_pct=round(share * most_pct, 1)) for share in SMALL_SHARES]
 
 
 def live(bench: Bench, plan: Plan, demand: ByButtons, folder: Path, progress: Progress) -> LabResult:
