@@ -13,12 +13,14 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from fiohost.bench.loop import Bench, Tick
 from fiohost.bench.program import Answer
-from fiohost.errors import FiohostError, LimitError
+from fiohost.errors import FiohostError
 from fiohost.panel.controls import Controls
+from fiohost.panel.recorder import Recorder
 
 HANG_S = 2.0  # a display that asks for no frame so long is taken for dead, and the motor is braked
 READING_S = 0.02  # between two readings that are shown
@@ -38,6 +40,7 @@ class Reading(NamedTuple):
     pos: int
     direction: int
     angle_deg: float
+    ref_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,9 @@ class News:
     mean_ms: float
     worst_ms: float
     missed: int  # ticks without a reading
+    doing: str = "hand"  # or source, or loop
+    recording: str = ""  # the log that is being written by the record button
+    recorded: int = 0  # its rows
 
     @classmethod
     def parse(cls, text: bytes) -> News:
@@ -77,7 +83,8 @@ class PanelProgram:
     """Asked by the bench loop at each tick; listens to the display in between. Also the loop's progress."""
 
     def __init__(self, bench: Bench, display: Connection[Any, Any], died: str) -> None:
-        self.controls = Controls(bench.profile.limit_duty_pct)
+        self.controls = Controls(bench.profile.limit_duty_pct, sample_time_s=bench.sample_time_s)
+        self.recorder = Recorder(Path.cwd(), bench.head(), behind=not bench.transport.lock_step)
         self.note = ""
         self._bench = bench
         self._display = display
@@ -101,15 +108,24 @@ class PanelProgram:
             return None
         if self._seen_s is None:
             self._seen_s = now_s
-        elif now_s - self._seen_s > HANG_S and self.controls.command.duty_pct:
+        elif now_s - self._seen_s > HANG_S and self.controls.drives:
             self.controls.act("brake")
             self.note = f"the display did not answer for {HANG_S:g} s: braked"
-        return self.controls.command, None
+        return self.controls.answer(k * self._bench.sample_time_s, angle_deg)
 
     def __call__(self, tick: Tick) -> None:
         command = tick.command
         self._readings.append(
-            Reading(tick.time_s, command.duty_pct, command.c3, command.c4, tick.pos, tick.direction, tick.angle_deg)
+            Reading(
+                tick.time_s,
+                command.duty_pct,
+                command.c3,
+                command.c4,
+                tick.pos,
+                tick.direction,
+                tick.angle_deg,
+                tick.ref_deg,
+            )
         )
 
     def _take(self, text: bytes, now_s: float) -> None:
@@ -122,14 +138,26 @@ class PanelProgram:
             case {"act": str(name), **rest}:
                 self._handled += 1
                 try:
-                    self.controls.act(name, rest.get("value"))
                     self.note = str(rest.get("why", ""))
-                except LimitError as exc:
+                    if name == "record":
+                        self._keep(rest.get("value") is True)
+                    else:
+                        self.controls.act(name, rest.get("value"))
+                except FiohostError as exc:
                     self.note = f"refused: {exc}"
             case {"closed": True}:
                 self._closed = True
             case _:
                 raise ValueError(f"unknown message {message!r}")
+
+    def _keep(self, wanted: bool) -> None:
+        """The record button."""
+        recorder = self.recorder
+        if wanted:
+            self.note = f"recording {recorder.start().name}"
+        elif recorder.on and recorder.path is not None:
+            recorder.stop()
+            self.note = f"{recorder.path.name}: {recorder.rows} rows"
 
     def _news(self) -> News:
         readings = [self._readings.popleft() for _ in range(len(self._readings))]  # more may come meanwhile
@@ -140,12 +168,15 @@ class PanelProgram:
             mode=self.controls.command.mode_name,
             stopped=self.controls.stopped,
             handled=self._handled,
-            note=self.note,
+            note=self.recorder.problem or self.note,
             ticks=statistics.ticks,
             late=statistics.late,
             mean_ms=1e3 * statistics.mean_s,
             worst_ms=1e3 * statistics.worst_s,
             missed=statistics.silent + statistics.refused,
+            doing=self.controls.doing,
+            recording=self.recorder.path.name if self.recorder.on and self.recorder.path else "",
+            recorded=self.recorder.rows,
         )
 
 
@@ -157,7 +188,7 @@ class Remote:
         self._asked = False
         self.actions = 0
 
-    def act(self, name: str, value: float | None = None, why: str = "") -> None:
+    def act(self, name: str, value: float | bool | dict[str, Any] | None = None, why: str = "") -> None:
         self.actions += 1
         with suppress(EOFError):  # news() says so too
             self._send({"act": name, "value": value, "why": why})

@@ -49,7 +49,10 @@ def run_panel(
         say(_wait_for(ours))
         program = PanelProgram(bench, ours, "the panel died and the motor was braked")
         metadata = {"experiment": "panel", "loop": "open"}
-        return bench.live(program, log_path, metadata, program, READING_S)
+        try:
+            return bench.live(program, log_path, metadata, program, READING_S, program.recorder.row)
+        finally:
+            program.recorder.close()
     finally:
         ours.close()  # the display ends when it finds nobody at the other end
         display.join(3.0)

@@ -5,29 +5,24 @@ What never changes is drawn once and kept; a frame puts that back and draws the 
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.backend_bases import Event
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 from matplotlib.widgets import Slider
 
-from fiohost.panel.link import READING_S, Facts, News, Reading
+from fiohost.panel.link import Facts, News, Reading
+from fiohost.panel.strips import Strips
 from fiohost.report.plots import AFTER, BEFORE, FLOOR, GREY, STYLE
 
 SIZE_IN = (10.8, 6.6)
 DPI = 100
 LEFT, RIGHT, WIDTH = 0.04, 0.98, 0.67  # edges of the page, and the slider's width
-SPAN_S = 10.0  # of the strip charts
-SPEED_OVER_S = 0.2  # a count is half a degree: over one tick it would be 100 deg/s
-SPEED_SCALES = (50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
 RED, PALE_RED, INK, PALE, HOVER = "#C62828", "#E8A6A6", "#222222", "#ECEFF1", "#DDE3E7"
 MODES = {"drive": AFTER, "brake": GREY, "standby": FLOOR}
 KEYS: dict[str, tuple[str, float | None]] = {
@@ -69,18 +64,19 @@ class View:
 
     def __init__(self, figure: Figure, facts: Facts, act: Act) -> None:
         self.figure, self._facts, self._act = figure, facts, act
-        self._readings: deque[tuple[Reading, float]] = deque(maxlen=int(SPAN_S / READING_S) + 1)  # with their speed
         self._background: Any = None
         self._stopped = False
         self._canvas: Any = figure.canvas
         canvas = self._canvas
         self._blit = hasattr(canvas, "copy_from_bbox") and hasattr(canvas, "blit")
         with matplotlib.rc_context(STYLE):
-            self._moving: list[Artist] = [*self._head(), *self._dial(), *self._strips(), *self._inputs()]
+            self.strips = Strips(figure, facts, RIGHT)
+            self._moving: list[Artist] = [*self._head(), *self._dial(), *self.strips.moving, *self._inputs()]
         for artist in self._moving:
             artist.set_animated(self._blit)
         canvas.mpl_connect("draw_event", self._on_draw)
         canvas.mpl_connect("button_press_event", self._on_press)
+        canvas.mpl_connect("button_release_event", self._on_release)
         canvas.mpl_connect("key_press_event", self._on_key)
 
     # ---- what is drawn ------------------------------------------------------------------------------------------
@@ -112,24 +108,6 @@ class View:
         self.figure.text(LEFT, 0.325, names, fontsize=11, color=GREY, va="center", linespacing=1.5)
         self._values = self.figure.text(LEFT + 0.09, 0.325, "", fontsize=11, va="center", linespacing=1.5)
         return [self._needle, self._angle, self._values]
-
-    def _strips(self) -> list[Artist]:
-        limit = self._facts.limit_pct
-        rows = (("duty (%)", -1.08 * limit, 1.08 * limit), ("angle (deg)", 0.0, 360.0), ("speed (deg/s)", -50.0, 50.0))
-        self._lines: list[Line2D] = []
-        charts: list[Axes] = []
-        for i, (label, low, high) in enumerate(rows):
-            axes = self.figure.add_axes((0.425, 0.715 - 0.205 * i, RIGHT - 0.425, 0.18))
-            axes.set(xlim=(-SPAN_S, 0.0), ylim=(low, high), ylabel=label)
-            axes.yaxis.set_label_coords(-0.095, 0.5)
-            axes.tick_params(labelsize=9, labelbottom=i == len(rows) - 1)
-            (line,) = axes.plot([], [], color=(INK, BEFORE, AFTER)[i], linewidth=1.5)
-            self._lines.append(line)
-            charts.append(axes)
-        charts[1].set_yticks(range(0, 361, 90))
-        self._speed_axes = charts[2]
-        self._speed_axes.set_xlabel("seconds ago")
-        return list(self._lines)
 
     def _inputs(self) -> list[Artist]:
         limit = self._facts.limit_pct
@@ -164,7 +142,7 @@ class View:
     def show(self, news: News, *, answered: bool = True) -> None:
         """Take news of the bench. *answered*: they know of all that was asked, so the slider may follow them."""
         for reading in news.readings:
-            self._readings.append((reading, self._speed_deg_s(reading)))
+            self.strips.take(reading)
         self._stopped = news.stopped
         if answered and not self._slider.drag_active:
             self._slider.eventson = False
@@ -185,36 +163,23 @@ class View:
             f"lateness mean {news.mean_ms:.2f} ms, worst {news.worst_ms:.1f} ms, {news.missed} missed"
         )
         self._note.set_text(news.note[:90])
-        if self._readings:
-            self._show_readings()
+        last = self.strips.last
+        if last is not None:
+            self._show_reading(*last)
+        self.draw_strips()
 
-    def _speed_deg_s(self, now: Reading) -> float:
-        """Mean speed over the last SPEED_OVER_S."""
-        for past, _ in reversed(self._readings):
-            if now.time_s - past.time_s > SPEED_OVER_S - 1e-9:
-                return (now.angle_deg - past.angle_deg) / (now.time_s - past.time_s)
-        return 0.0
+    def draw_strips(self) -> None:
+        """The charts as they are asked for now."""
+        if self.strips.draw():
+            self._background = None  # the numbers at an axis are part of it
 
-    def _show_readings(self) -> None:
-        turn = 360.0 / self._facts.counts_per_rev
-        last, speed = self._readings[-1]
-        angle = (last.pos + 1) * turn  # for display only, as the lab text has it: 0.5 to 360
+    def _show_reading(self, last: Reading, speed: float) -> None:
+        angle = (last.pos + 1) * 360.0 / self._facts.counts_per_rev  # as the lab text has it: 0.5 to 360
         x, y = _on_dial(angle)
         self._needle.set_data([0.5 * x, 0.85 * x], [0.5 * y, 0.85 * y])
         self._angle.set_text(f"{angle:.1f}°")
         way = "1, counting down" if last.direction else "0, counting up"
         self._values.set_text(f"{last.pos}\n{_signed(speed, 0)} deg/s  ({_signed(speed / 6.0, 1)} rpm)\n{way}")
-        rows = np.array([(r.time_s, r.duty_pct, (r.pos + 1) * turn, s) for r, s in self._readings])
-        ago = rows[:, 0] - last.time_s
-        wrapped = np.abs(np.diff(rows[:, 2], prepend=rows[0, 2])) > 180.0
-        rows[wrapped, 2] = np.nan  # no line across the chart where the angle begins anew
-        for line, values in zip(self._lines, rows.T[1:], strict=True):
-            line.set_data(ago, values)
-        largest = float(np.abs(rows[:, 3]).max())
-        scale = next((s for s in SPEED_SCALES if s > 1.05 * largest), SPEED_SCALES[-1])
-        if scale != self._speed_axes.get_ylim()[1]:
-            self._speed_axes.set_ylim(-scale, scale)
-            self._background = None  # the numbers at the axis are part of it
 
     # ---- painting and asking ------------------------------------------------------------------------------------
 
@@ -246,8 +211,14 @@ class View:
             if button.axes.bbox.contains(event.x, event.y) and not (event.dblclick and name == "reverse"):
                 self._act(name, None)
                 return
-        if self._slider.drag_active:  # pressed where it stood already: that is no change, but it is a wish
+        if self.strips.press(event):
+            self.draw_strips()
+        elif self._slider.drag_active:  # pressed where it stood already: that is no change, but it is a wish
             self._act("duty", float(self._slider.val))
+
+    def _on_release(self, event: Any) -> None:
+        if self.strips.release(event):
+            self.draw_strips()
 
     def _on_key(self, event: Any) -> None:
         if event.key in KEYS:

@@ -1,9 +1,9 @@
-"""The panel in a browser: the same figure, drawn here by matplotlib's WebAgg and sent as pictures over a web socket.
+"""The panel in a browser: readings go over a web socket, the browser draws them.
 
-Who drives is watched by the pictures themselves: a browser that does not say that it has painted one, for as long as
-``--away`` allows, is taken for gone and the motor is braked. One browser drives, the first; others look on. The address
-has a token, names that are not ours are refused (Host and Origin are checked, on every address), and of what a browser
-sends only what the figure needs is taken, within bounds of size and rate.
+Who drives is watched by the pictures themselves: a browser that does not say that it has painted a frame, for as long
+as ``--away`` allows, is taken for gone and the motor is braked. One browser drives, the first; others look on. The
+address has a token, names that are not ours are refused (Host and Origin are checked, on every address), and of what a
+browser sends only known actions are taken, within bounds of size and rate.
 """
 
 from __future__ import annotations
@@ -12,21 +12,18 @@ import asyncio
 import hmac
 import ipaddress
 import json
-import logging
 import secrets
 import socket
 import time
+from collections import deque
 from contextlib import suppress
+from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
-from matplotlib.backends import backend_webagg_core
-from matplotlib.figure import Figure
-
 from fiohost.errors import FiohostError
 from fiohost.files import shown
-from fiohost.panel.link import Facts, Remote
-from fiohost.panel.view import DPI, SIZE_IN, View
+from fiohost.panel.link import READING_S, Facts, News, Reading, Remote
 
 try:
     import tornado.httpserver
@@ -35,36 +32,37 @@ try:
 except ImportError as exc:
     raise FiohostError(f"the panel in a browser needs the package tornado ({exc}): pip install tornado") from exc
 
-webagg: Any = backend_webagg_core  # it has no types
-
 FRAME_S = 0.08
-ACK_LIMIT_S = 1.0  # a browser that paints no slower than this gets every frame
 PING_S = 10.0  # a browser that answers no ping for so long has gone; who drives is watched by frames
 MAX_MESSAGE_BYTES = 4000
 MAX_HEADER_BYTES = 16_000
 MAX_BROWSERS = 20
-RATE = 200.0  # messages a second, of which a mouse in motion sends half ...
+RATE = 200.0  # messages a second ...
 BURST = 400.0  # ... and so many at once; more are not heard
-logger = logging.getLogger("fiohost.panel")
-MOUSE = {"button_press", "button_release", "dblclick", "motion_notify", "figure_enter", "figure_leave", "scroll"}
-KEYS = {"key_press", "key_release"}
-ACTS = MOUSE | KEYS  # by which one drives
-PLAIN = {"draw", "refresh", "send_image_mode"}
-BOUNDS = {"x": 1e5, "y": 1e5, "button": 4, "buttons": 31, "step": 100}  # largest size of each number of a mouse event
-SIDE_PX = (200, 4000)
-RATIOS = (0.5, 4.0)
+HISTORY = 3000  # readings that a browser which joins is given: a minute
+PLAIN = {"brake", "standby", "reverse", "emergency", "release"}
+NUMBERED = {"duty", "change"}
+SETTINGS = {
+    "source": {"amplitude", "offset", "period_s"},
+    "loop": {"kp", "ki", "kd", "amplitude", "offset", "period_s"},
+}
+WORDS = {"shape", "kind"}
+MOST = 1e6  # of any number: what is sane is asked by the bench's side
+SCRIPTS = {
+    "panel.js": ("fiohost.panel", "panel.js", "application/javascript"),
+    "uplot.js": ("fiohost.report", "vendor/uPlot.iife.min.js", "application/javascript"),
+    "uplot.css": ("fiohost.report", "vendor/uPlot.min.css", "text/css"),
+}
 
 
 class Panel:
-    """One figure, the browsers that show it, and its frames."""
+    """The browsers that show the bench, and their frames."""
 
     def __init__(self, remote: Remote, facts: Facts, away_s: float | None) -> None:
-        figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
-        self.manager = webagg.FigureManagerWebAgg(webagg.FigureCanvasWebAggCore(figure), 1)
-        self.manager.canvas.mpl_disconnect(self.manager.key_press_handler_id)
-        self.view = View(figure, facts, remote.act)
+        self.facts = facts
         # since when each has had a frame that it has not painted; the first is the one that drives
         self.browsers: dict[Browser, float | None] = {}
+        self._history: deque[Reading] = deque(maxlen=HISTORY)
         self._remote, self._away_s = remote, away_s
         self._alone_since_s: float | None = None  # None: somebody is there, or all that is due to that was done
         self._was_braked = False  # because the one that drives paints nothing
@@ -76,13 +74,13 @@ class Panel:
     def joined(self, browser: Browser) -> None:
         self.browsers[browser] = None
         self._alone_since_s = None
-        self.manager.add_web_socket(browser)
+        browser.send_json({"type": "facts", "reading_s": READING_S, **asdict(self.facts)})
+        browser.waiting.extend(self._history)
         self._tell_roles()
 
     def left(self, browser: Browser) -> None:
         drove = browser is self.driver
-        if self.browsers.pop(browser, 0) != 0:
-            self.manager.remove_web_socket(browser)
+        self.browsers.pop(browser, None)
         if drove:
             self._was_braked = False
             self._alone_since_s = time.monotonic()
@@ -96,16 +94,22 @@ class Panel:
         if browser is self.driver:
             self._was_braked = False
 
+    def act(self, name: str, value: Any) -> None:
+        self._remote.act(name, value)
+
     def frame(self) -> None:
-        """Ask for news, show them where somebody looks. Raises EOFError once the bench has ended."""
+        """Ask for news, show them where the last ones were painted. Raises EOFError once the bench has ended."""
         now_s = time.monotonic()
         self._dead_man(now_s)
         news = self._remote.news()
         if news is None:
             return
-        self.view.show(news, answered=news.handled == self._remote.actions)
-        if self.browsers and not any(s is not None and now_s - s < ACK_LIMIT_S for s in self.browsers.values()):
-            self.view.frame()
+        self._history.extend(news.readings)
+        for browser, since_s in self.browsers.items():
+            browser.waiting.extend(news.readings)
+            if since_s is None:
+                self.browsers[browser] = now_s
+                browser.show(news, answered=news.handled == self._remote.actions)
 
     def _dead_man(self, now_s: float) -> None:
         """Brake where the browser that drives is gone or paints nothing."""
@@ -133,6 +137,7 @@ class Browser(tornado.websocket.WebSocketHandler):
     def initialize(self, panel: Panel, door: Door) -> None:
         self.panel, self._door = panel, door
         self._credit, self._credited_s = BURST, time.monotonic()
+        self.waiting: deque[Reading] = deque(maxlen=HISTORY)  # what it has not been shown
 
     def prepare(self) -> None:
         self._door.check(self)
@@ -159,29 +164,22 @@ class Browser(tornado.websocket.WebSocketHandler):
             return
         if event["type"] == "ack":
             self.panel.painted(self)
-        elif event["type"] not in ACTS or self is self.panel.driver:
-            try:
-                self.panel.manager.handle_json(event)
-            except Exception as exc:  # what no figure can make sense of is not heard
-                logger.info("a browser's message was refused: %s: %s", type(exc).__name__, exc)
+        elif self is self.panel.driver:
+            self.panel.act(event["name"], event["value"])
 
-    # what matplotlib calls
+    def show(self, news: News, *, answered: bool) -> None:
+        """Send a frame: the news, with all readings that this browser has not had."""
+        told = asdict(news) | {"readings": [list(r) for r in self.waiting]}
+        self.waiting.clear()
+        self.send_json({"type": "news", "answered": answered, **told})
 
     def send_json(self, content: dict[str, Any]) -> None:
-        self._send(json.dumps(content), binary=False)
-
-    def send_binary(self, blob: bytes) -> None:
-        if self.panel.browsers.get(self) is None:  # the oldest that is not painted counts
-            self.panel.browsers[self] = time.monotonic()
-        self._send(blob, binary=True)
-
-    def _send(self, message: str | bytes, *, binary: bool) -> None:
         with suppress(tornado.websocket.WebSocketClosedError):  # on_close comes
-            self.write_message(message, binary=binary).add_done_callback(lambda sent: sent.exception())
+            self.write_message(json.dumps(content)).add_done_callback(lambda sent: sent.exception())
 
 
 class Page(tornado.web.RequestHandler):
-    """The page and matplotlib's script."""
+    """The page, and what it draws with."""
 
     def initialize(self, door: Door) -> None:
         self._door = door
@@ -189,16 +187,21 @@ class Page(tornado.web.RequestHandler):
     def prepare(self) -> None:
         self._door.check(self)
 
-    def get(self, name: str) -> None:
+    def get(self, name: str | None = None) -> None:
+        if name and name not in SCRIPTS:
+            raise tornado.web.HTTPError(404)
         self.set_header("X-Frame-Options", "DENY")
         self.set_header("Cache-Control", "no-store")
         self.set_header("Referrer-Policy", "no-referrer")  # the address has the token in it
-        if name == "mpl.js":
-            self.set_header("Content-Type", "application/javascript; charset=utf-8")
-            self.write(webagg.FigureManagerWebAgg.get_javascript())
-        else:
-            page = files("fiohost.panel").joinpath("page.html").read_text(encoding="utf-8")
-            self.write(page.replace("mpl.js", f"mpl.js?token={self._door.token}"))
+        if name in SCRIPTS:
+            package, path, kind = SCRIPTS[name]
+            self.set_header("Content-Type", f"{kind}; charset=utf-8")
+            self.write(files(package).joinpath(path).read_text(encoding="utf-8"))
+            return
+        page = files("fiohost.panel").joinpath("page.html").read_text(encoding="utf-8")
+        for script in SCRIPTS:
+            page = page.replace(f'"{script}"', f'"{script}?token={self._door.token}"')
+        self.write(page)
 
     def write_error(self, status_code: int, **more: Any) -> None:
         self.finish("The panel is at the address that fiohost printed, token and all, under this computer's name.\n")
@@ -232,37 +235,35 @@ class Door:
 
 
 def checked(message: str | bytes) -> dict[str, Any] | None:
-    """What the figure may be told of a browser's message; None for anything else."""
+    """What is taken of a browser's message: that it has painted, or an action with its value; else None."""
     try:
         came = json.loads(message)
     except (ValueError, RecursionError):
         return None
-    kind = came.get("type") if isinstance(came, dict) else None
-    if not isinstance(kind, str):
+    if not isinstance(came, dict):
         return None
-    if kind == "ack" or kind in PLAIN:
-        return {"type": kind}
-    if kind in MOUSE:
-        numbers = {key: _bounded(came.get(key, 0), -most, most) for key, most in BOUNDS.items()}
-        if None in numbers.values():
-            return None
-        whole = {key: int(numbers[key] or 0) for key in ("button", "buttons")}
-        return {"type": kind, **numbers, **whole, "modifiers": []}
-    if kind in KEYS and isinstance(came.get("key"), str):
-        return {"type": kind, "key": came["key"][:40]}
-    if kind == "resize":
-        sides = {key: _bounded(came.get(key), *SIDE_PX) for key in ("width", "height")}
-        return None if None in sides.values() else {"type": kind, **sides}
-    if kind == "set_device_pixel_ratio":
-        ratio = _bounded(came.get("device_pixel_ratio"), *RATIOS)
-        return None if ratio is None else {"type": kind, "device_pixel_ratio": ratio}
+    if came.get("type") == "ack":
+        return {"type": "ack"}
+    name: Any = came.get("name")
+    value: Any = came.get("value")
+    if came.get("type") != "act" or not isinstance(name, str):
+        return None
+    if name in PLAIN:
+        return {"type": "act", "name": name, "value": None}
+    if name in NUMBERED and _is_number(value):
+        return {"type": "act", "name": name, "value": float(value)}
+    if name == "record" and isinstance(value, bool):
+        return {"type": "act", "name": name, "value": value}
+    if name in SETTINGS and isinstance(value, dict):
+        kept = {key: float(value[key]) for key in SETTINGS[name] if _is_number(value.get(key))}
+        said = {key: value[key] for key in WORDS if isinstance(value.get(key), str) and len(value[key]) <= 20}
+        if len(kept) + len(said) == len(value):
+            return {"type": "act", "name": name, "value": {**kept, **said}}
     return None
 
 
-def _bounded(value: object, low: float, high: float) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        return None
-    return float(value)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and -MOST <= value <= MOST
 
 
 def serve(remote: Remote, facts: Facts, bind: str, port: int, away_s: float | None) -> None:
@@ -280,7 +281,10 @@ async def _serve(remote: Remote, panel: Panel, bind: str, port: int) -> None:
             "this computer"
         ) from exc
     door = Door(bind)
-    pages: list[Any] = [("/socket", Browser, {"panel": panel, "door": door}), ("/(mpl.js)?", Page, {"door": door})]
+    pages: list[Any] = [
+        ("/socket", Browser, {"panel": panel, "door": door}),
+        ("/([a-z]+[.][a-z]+)?", Page, {"door": door}),
+    ]
     application = tornado.web.Application(
         pages,
         websocket_ping_interval=PING_S,

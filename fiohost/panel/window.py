@@ -1,14 +1,17 @@
-"""The panel in a window, on whatever interactive backend of matplotlib there is."""
+"""The panel in a window: a picture on whatever interactive backend of matplotlib there is, controls beside it on Tk."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
 from fiohost.errors import FiohostError
 from fiohost.panel.link import Facts, Remote
 from fiohost.panel.view import DPI, SIZE_IN, View
+
+if TYPE_CHECKING:
+    from fiohost.panel.side import Side
 
 FRAME_MS = 80
 
@@ -33,6 +36,7 @@ def show(remote: Remote, facts: Facts) -> None:
     figure.canvas.mpl_disconnect(manager.key_press_handler_id)  # its own keys: q, s and others mean something else
     manager.set_window_title(f"fiohost panel: {facts.target}")
     view = View(figure, facts, remote.act)
+    side = _side(manager, view, remote)
     ended: list[Exception] = []
 
     def frame() -> None:
@@ -42,6 +46,8 @@ def show(remote: Remote, facts: Facts) -> None:
             news = remote.news()
             if news is not None:
                 view.show(news, answered=news.handled == remote.actions)
+                if side is not None:
+                    side.show(news)
                 view.frame()
         except Exception as exc:  # a toolkit would print it and go on, with a panel that shows nothing
             ended.append(exc)
@@ -56,3 +62,13 @@ def show(remote: Remote, facts: Facts) -> None:
     if ended:
         raise ended[0]
     remote.closed()
+
+
+def _side(manager: Any, view: View, remote: Remote) -> Side | None:
+    """The controls beside the picture, where the window is one of Tk: another toolkit has the picture alone."""
+    window: Any = getattr(manager, "window", None)
+    if not hasattr(window, "tk"):
+        return None
+    from fiohost.panel.side import Side
+
+    return Side(window, view, remote.act, before=manager.canvas.get_tk_widget())
