@@ -52,6 +52,8 @@ def follow_up_sentence(follow_up: Mapping[str, Any]) -> str:
 
 def confirm_series(circle: Circle) -> SeriesPlot:
     """The fresh record, measured against both models."""
+    from fiohost.discover.missing_torque import bench_angle
+
     found = circle.confirmation
     record = found.record
     return SeriesPlot(
@@ -64,4 +66,6 @@ def confirm_series(circle: Circle) -> SeriesPlot:
         after=found.after.simulated if circle.diagnosis.steps else None,
         duty_pct=record.excitation.duties_pct[1:],
         floor_rms=found.floor.errors.free_run_rms,
+        angle=bench_angle(record, found.after),
+        quantum=record.quantum,
     )

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fiohost.discover.missing_torque import bench_angle
+from fiohost.report.effect_curve import effect_curves
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 if TYPE_CHECKING:
@@ -40,19 +42,25 @@ def series_of(found: Diagnosis) -> list[SeriesPlot]:
             after=after.simulated if found.steps else None,
             duty_pct=record.excitation.duties_pct[1:],
             floor_rms=floor.errors.free_run_rms,
+            angle=bench_angle(record, after),
+            quantum=record.quantum,
         )
         for role, record, before, after, floor in rows
     ]
 
 
 def curves_of(found: Diagnosis) -> list[CurvePlot]:
-    """The missing torque and what the named effects take up of it; then what the rest follows, if anything."""
+    """Each found effect; the missing torque and what the named effects take up of it; then what the rest follows, if
+    anything.
+    """
     length = "deg" if found.train[0].rotary else "mm"
     named = [_force(c, found, length) for c in found.curves] if found.steps else []
+    effects = effect_curves(found)
     if found.final.follows:
-        return named
+        return [*effects, *named]
     term = found.outlook.empirical
     return [
+        *effects,
         *named,
         *([_empirical(term, VARIABLE_LABELS[term.variable].format(length=length))] if term else []),
         *_dependences(found, length),

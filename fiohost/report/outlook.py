@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from fiohost.report.words import FOLLOWS, effect_words, number, with_unit
+from fiohost.report.words import FOLLOWS, effect_words, listed, number, with_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,6 +45,27 @@ def empirical_sentence(diagnosis: Mapping[str, Any]) -> str:
         f"{number(term.get('residual_over_floor'), 3)} times the floor"
     )
     return f"{text}. It is {parity}." if parity else f"{text}."
+
+
+def curves_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """What curves of no name in the model that is handed over are worth; empty where there are none."""
+    told, unit = diagnosis.get("unnamed"), str(diagnosis.get("output_unit", ""))
+    if not isinstance(told, Mapping):
+        return ""
+    names = listed(f"a {effect_words(str(name))}" for name in told["effects"])
+    before, after = (with_unit(told[key]["window_rms"], unit) for key in ("before", "after"))
+    return (
+        f"The model that is handed over (--save-model) has {names} besides, curves of no name: windows of 1 s "
+        f"of the training logs err by {after} with them, {before} without."
+    )
+
+
+def extrapolation_sentences(diagnosis: Mapping[str, Any]) -> list[str]:
+    """Of every held-out log that goes beyond what the training logs did, where."""
+    return [
+        f"{one['log']} goes beyond the training logs: {listed(one['beyond'])}; there the model extrapolates."
+        for one in diagnosis.get("extrapolates") or []
+    ]
 
 
 def limit_rows(diagnosis: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -88,9 +109,9 @@ def print_outlook(console: Console, diagnosis: Mapping[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    described = empirical_sentence(diagnosis)
-    if described:
-        console.print(Text(described))
+    told = [empirical_sentence(diagnosis), curves_sentence(diagnosis), *extrapolation_sentences(diagnosis)]
+    for sentence in (text for text in told if text):
+        console.print(Text(sentence))
         console.print()
     rows = limit_rows(diagnosis)
     if rows:

@@ -14,16 +14,26 @@ import jinja2
 from fiohost import __version__
 from fiohost.files import make_folder, write_output
 from fiohost.report import preliminary, words
-from fiohost.report.outlook import empirical_sentence, limit_rows, upcoming_sentence
+from fiohost.report.effect_curve import captions
+from fiohost.report.outlook import (
+    curves_sentence,
+    empirical_sentence,
+    extrapolation_sentences,
+    limit_rows,
+    upcoming_sentence,
+)
+from fiohost.report.physical import headline, size_rows, spoken, unit_words
 from fiohost.report.plots import (
+    ROLES,
     as_svg,
     plot_answers,
     plot_candidates,
     plot_curve,
     plot_residual_bars,
     plot_separations,
-    plot_series,
 )
+from fiohost.report.records import records_script, records_style
+from fiohost.report.residual import plot_residual, residual_of, white_words
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 __all__ = ["CurvePlot", "SeriesPlot", "write_page"]
@@ -75,8 +85,8 @@ def render(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["number"] = words.number
-    environment.filters["share"] = words.share
     environment.filters["effect"] = words.effect_words
+    environment.filters["percent"] = lambda score: words.number(100.0 * float(score or 0.0), 3)
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     logs = list(diagnosis.get("logs") or [])
     candidates = sorted(diagnosis.get("candidates") or [], key=lambda c: -float(c.get("score") or 0.0))
@@ -87,13 +97,28 @@ def render(
     final = diagnosis.get("final") or diagnosis.get("declared") or {}
     asked = preliminary.questions(diagnosis)
     floor = (diagnosis.get("semantics") or {}).get("floor_window_rms")
+    sizes = size_rows(diagnosis)
+    records = [one for one in series if len(one.time_s) > 1]
+    proof = [i for i, one in enumerate(records) if one.role in ("confirm", "holdout")]
+    shown = proof or list(range(len(records)))[:1]
+    left = residual_of(records[shown[0]]) if shown else None
+    white = (diagnosis.get("residual") or {}).get("white")
+    open_verdict = diagnosis.get("verdict") == "unexplained"
+    found = [c for c in curves if c.found]
+    others = [c for c in curves if not c.found]
+    scored = [c for c in candidates if float(c.get("score") or 0.0) >= LEAST_SCORE]
     return template.render(
         title=title,
         style=STYLE.read_text(encoding="utf-8"),
         version=diagnosis.get("fiohost_version", __version__),
         verdict=str(diagnosis.get("verdict", "")),
         sentence=words.verdict_sentence(diagnosis),
+        headline=headline(diagnosis),
+        sizes=sizes,
+        physical=any(row["physical"] for row in sizes),
+        captions=captions(diagnosis),
         unit=unit,
+        unit_words=unit_words,
         declared=str((diagnosis.get("declared") or {}).get("model", "")),
         final=final,
         stages=list(_stages(diagnosis)),
@@ -115,34 +140,81 @@ def render(
         chosen=chosen,
         candidates=candidates,
         follows=words.follows(diagnosis),
-        white=(diagnosis.get("residual") or {}).get("white"),
-        tests=flatten((diagnosis.get("residual") or {}).get("tests") or {}),
+        white=white,
+        white_words=white_words(left, white) if left else [],
+        tests=_tests(diagnosis),
         upcoming=upcoming,
         upcoming_sentence=upcoming_sentence(diagnosis),
-        empirical=empirical_sentence(diagnosis),
+        empirical=" ".join(
+            text
+            for text in (empirical_sentence(diagnosis), curves_sentence(diagnosis), *extrapolation_sentences(diagnosis))
+            if text
+        ),
         smallest=limit_rows(diagnosis),
         follow_up=follow_up,
-        confirm=confirm,
         confirm_sentence=confirm_sentence(confirm, unit) if confirm else "",
-        confirm_rest=flatten({k: v for k, v in confirm.items() if k not in CONFIRM_KEYS}) if confirm else [],
-        seal=flatten(seal) if seal else [],
+        seal=_seal(seal, final.get("parameters") or {}) if seal else None,
         seconds=diagnosis.get("seconds"),
-        pictures_confirm=[as_svg(plot_series(s)) for s in series if s.role == "confirm"],
-        pictures_holdout=[as_svg(plot_series(s)) for s in series if s.role == "holdout"],
-        pictures_train=[as_svg(plot_series(s)) for s in series if s.role not in ("confirm", "holdout")],
+        records=[{"title": f"{one.title}: {ROLES.get(one.role, one.role)}"} for one in records],
+        records_style=records_style(),
+        records_script=records_script(records) if records else "",
+        shown=shown,
+        folded=[i for i in range(len(records)) if i not in shown],
+        picture_residual=as_svg(plot_residual(left)) if left else "",
         picture_answers=as_svg(plot_answers(asked, floor, unit))
         if any(len(q.get("window_rms") or {}) > 1 for _, q in asked)
         else "",
         picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",
-        picture_candidates=as_svg(plot_candidates(candidates, chosen)) if candidates else "",
+        picture_candidates=as_svg(plot_candidates(scored, chosen)) if scored else "",
         picture_separations=as_svg(plot_separations(separation, (upcoming or {}).get("experiment")))
         if separation
         else "",
-        pictures_curves=[as_svg(plot_curve(c)) for c in curves],
+        pictures_found=[as_svg(plot_curve(c)) for c in found],
+        pictures_open=[as_svg(plot_curve(c)) for c in others] if open_verdict else [],
+        pictures_rest=[] if open_verdict else [as_svg(plot_curve(c)) for c in others],
     )
 
 
-CONFIRM_KEYS = ("before", "after", "floor", "improvement_pct", "ci95", "improvement_of", "windows")
+LEAST_SCORE = 0.0005  # of a candidate in the picture: less is no bar
+
+
+def _tests(diagnosis: Mapping[str, Any]) -> list[tuple[str, float, float]]:
+    """Of every variable how much of the missing torque it explains, and how much chance would, in percent."""
+    told = (diagnosis.get("residual") or {}).get("tests") or {}
+    return [
+        (words.FOLLOWS.get(key.removeprefix(TORQUE_TEST), key), 100.0 * value["r2"], 100.0 * value["chance_r2"])
+        for key, value in told.items()
+        if key.startswith(TORQUE_TEST) and isinstance(value, Mapping) and {"r2", "chance_r2"} <= set(value)
+    ]
+
+
+TORQUE_TEST = "missing_torque_"
+
+
+def _value(value: Any) -> str:
+    return words.effect_words(value) if isinstance(value, str) else words.number(value, 5)
+
+
+def _seal(seal: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    """The opened seal: sentences, true against found parameters, and constants."""
+    sentences = [f"Seed {seal['seed']}."] if "seed" in seal else []
+    sentences += [f"{str(text)[0].upper()}{str(text)[1:]}." for text in seal.get("truth") or [] if text]
+    compared = []
+    for effect, told in (seal.get("reduced") or {}).items():
+        for key, value in told.items():
+            known = found.get(f"{effect}.{key}") or {}
+            compared.append(
+                {
+                    "name": f"{words.effect_words(effect)}, {spoken(key)}",
+                    "true": _value(value),
+                    "found": _value(known.get("value")),
+                    "interval": words.interval(known),
+                    "unit": unit_words(str(known.get("unit") or "")),
+                }
+            )
+    told_already = ("seed", "truth", "reduced", "effects" if seal.get("truth") else "")
+    rest = flatten({key: value for key, value in seal.items() if key not in told_already})
+    return {"sentences": sentences, "compared": compared, "rest": rest}
 
 
 def confirm_sentence(confirm: Mapping[str, Any], unit: str) -> str:

@@ -22,6 +22,7 @@ from fiohost.report.words import (
     interval,
     listed,
     number,
+    own_start_sentence,
     remark,
     roles_of,
     share,
@@ -48,6 +49,9 @@ def print_diagnosis(console: Console, diagnosis: Mapping[str, Any], verbose: boo
         console.width = max(width, FILE_WIDTH)
     for table in tables:
         console.print(table)
+        console.print()
+    if diagnosis.get("explained_to") != "sensor" and (own := own_start_sentence(diagnosis)):
+        console.print(Text(own))
         console.print()
     print_outlook(console, diagnosis)
     console.width = width

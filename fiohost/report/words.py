@@ -45,7 +45,7 @@ def number(value: Any, digits: int = 4) -> str:
         return DASH if math.isnan(value) else ("infinite" if value > 0 else "-infinite")
     if value == 0:
         return "0"
-    if isinstance(value, int) and abs(value) < 10**7:
+    if isinstance(value, int):  # a count or a seed: all of it
         return str(value)
     if 1e-4 <= abs(value) < 1e6:
         decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
@@ -176,6 +176,21 @@ def _clock(diagnosis: Mapping[str, Any]) -> str:
     """What times mean where the logs did not say when they were begun; empty otherwise."""
     taken = diagnosis.get("clock") == "logs one after the other"
     return ", its time being that of the logs one after the other, in the order given" if taken else ""
+
+
+def own_start_sentence(diagnosis: Mapping[str, Any]) -> str:
+    """What held-out logs leave once what differs from run to run is taken from their beginnings; empty without any."""
+    told, unit = diagnosis.get("own_start"), str(diagnosis.get("output_unit", ""))
+    if not isinstance(told, Mapping):
+        return ""
+    cold, own = told["cold"], told["own"]
+    seconds = ((diagnosis.get("settings") or {}).get("own_start") or {}).get("seconds")
+    return (
+        f"With gain, friction, load and dead time of each held-out log from its own first {number(seconds, 3)} s at "
+        f"most, what comes after errs by {with_unit(own['window_rms'], unit)} rms in windows of 1 s "
+        f"({with_unit(cold['window_rms'], unit)} without) and by {with_unit(own['free_run_rms'], unit)} as whole runs "
+        f"({with_unit(cold['free_run_rms'], unit)})."
+    )
 
 
 def with_rivals(step: Mapping[str, Any]) -> str:
