@@ -23,11 +23,17 @@ from fiohost.files import report_folder
     metavar="DIR",
     help="Folder of logs, page and plots. [default: close-loop, or close-loop-N]",
 )
+@click.option(
+    "--constants",
+    metavar="SET|FILE",
+    help="The motor's constants, as of lab characterise --save: the report says V, A and N m too.",
+)
 @click.option("--no-follow-up", is_flag=True, help="Never run one more experiment to tell rivals apart.")
 @json_option
 def close_loop(
-    target: str, seed: str | None, model: str, report: Path | None, no_follow_up: bool, json_to: str | None
-) -> None:
+    target: str, seed: str | None, model: str, report: Path | None, constants: str | None, no_follow_up: bool,
+    json_to: str | None,
+) -> None:  # fmt: skip
     """Run a suite of experiments, name what the model lacks, and prove it on a fresh record.
 
     Where the data cannot tell effects apart and an experiment of the menu would, that one is run too, and all is
@@ -45,18 +51,22 @@ def close_loop(
     from fiohost.bench.seal import is_sealed
     from fiohost.circle.close import close_loop as run_circle
     from fiohost.discover.result import to_json
+    from fiohost.labs.constants import MotorConstants
     from fiohost.motor.model import Model
     from fiohost.report.circle import confirm_series, follow_up_sentence, print_circle
     from fiohost.report.diagnosis import curves_of, series_of
     from fiohost.report.page import write_page
+    from fiohost.report.physical import constants_of
     from fiohost.report.plots import save_plots
 
     say = output_for(json_to)
     declared, drawn = Model.parse(model), parse_seed(seed)
+    motor = MotorConstants.load(constants) if constants else None
     folder = report_folder(report or Path("close-loop"), chosen=report is not None)
     with connect(target, seed=drawn) as bench, progress() as doing:
         circle = run_circle(bench, folder, declared, follow_up=not no_follow_up, say=doing)
-    diagnosis = to_json(circle.diagnosis)
+    known = constants_of([circle.fresh_log.metadata], motor)
+    diagnosis = {**to_json(circle.diagnosis), "constants": known.to_json()}
     seal = _open_seal(circle.fresh_log.path, target) if is_sealed(target) else None
     result = circle.to_json(diagnosis, seal)
     print_circle(say.console, result, say.verbose)

@@ -14,7 +14,7 @@ Completer = Callable[[click.Context, click.Parameter, str], Items]
 
 def experiments(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Shipped experiments, and files."""
-    return _names("experiments", incomplete) + _files(incomplete)
+    return _files(incomplete) + _names("experiments", incomplete)
 
 
 def models(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
@@ -25,12 +25,12 @@ def models(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items
     if plus:
         taken = set(head.split("+"))
         return [CompletionItem(f"{head}+{n}") for n in library() if n.startswith(last) and n not in taken]
-    return _matching(["linear"], incomplete) + _names("models", incomplete) + _files(incomplete)
+    return _files(incomplete) + _matching(["linear"], incomplete) + _names("models", incomplete)
 
 
 def maps(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
     """Shipped maps, and files."""
-    return _names("maps", incomplete) + _files(incomplete)
+    return _files(incomplete) + _names("maps", incomplete)
 
 
 def effects(ctx: click.Context, param: click.Parameter, incomplete: str) -> Items:
@@ -99,5 +99,5 @@ def _matching(names: Iterable[str], incomplete: str) -> Items:
 
 
 def _files(incomplete: str) -> Items:
-    """The shell's own list of files."""
+    """The shell's own list of files; it comes first, as bash forgets what stood before it."""
     return [CompletionItem(incomplete, type="file")]

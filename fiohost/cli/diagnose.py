@@ -54,7 +54,19 @@ if TYPE_CHECKING:
     metavar="P%",
     help="What is left below this share of the motion in windows of 1 s does not matter, as 1%.",
 )
+@click.option(
+    "--own-seconds",
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="So much of a held-out log's beginning says what is its own: gain, friction, load, dead time. 0: none.",
+)
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
+@click.option(
+    "--constants",
+    metavar="SET|FILE",
+    help="The motor's constants, as of lab characterise --save: the report says V, A and N m too.",
+)
 def diagnose(
     logs: Sequence[Path],
     readings: Sequence[Path],
@@ -66,7 +78,9 @@ def diagnose(
     table_map: str | None,
     limits: bool,
     tolerance: str,
+    own_seconds: float,
     seed: str,
+    constants: str | None,
 ) -> None:
     """Name what a declared model lacks, from logs, and report the error before and after on held-out ones; or from
     tables of readings.
@@ -80,13 +94,16 @@ def diagnose(
     if not logs and not readings:
         raise click.UsageError("Missing argument 'LOG...', or --readings FILE.")
     if readings:
-        _refuse_with_readings({"LOG": logs, "--holdout": holdout, "--map": table_map, "--limits": limits})
+        of_logs = {"LOG": logs, "--holdout": holdout, "--map": table_map, "--limits": limits, "--constants": constants}
+        _refuse_with_readings(of_logs)
         _diagnose_readings(readings, model, json_to, save_model, report, seed)
         return
     from fiohost.circle.evidence import diagnose as run_diagnosis
     from fiohost.discover.result import to_json
     from fiohost.importing.automatic import understood
+    from fiohost.labs.constants import MotorConstants
     from fiohost.motor.model import Model
+    from fiohost.report.physical import constants_of
     from fiohost.report.tables import print_diagnosis
 
     say = output_for(json_to)
@@ -97,7 +114,11 @@ def diagnose(
     if report is not None:
         report_folder(report)
 
+    known = MotorConstants.load(constants) if constants else None
+    heads: list[Mapping[str, str]] = []
+
     def announce(train: Sequence[Log], held: Sequence[Log]) -> None:
+        heads.extend(log.metadata for log in (*train, *held))
         for role, group in (("training", train), ("held out", held)):
             for log in group:
                 say(f"{role:9} {log.path}: {len(log)} rows")
@@ -115,15 +136,16 @@ def diagnose(
             seed=drawn,
             limits=limits,
             tolerance_pct=_percent(tolerance),
+            own_seconds=own_seconds,
             say=doing,
             announce=announce,
         )
-    result = to_json(found)
+    result = {**to_json(found), "constants": constants_of(heads, known).to_json()}
     print_diagnosis(say.console, result, say.verbose)
     if limits and not result["detection_limits"]:
         say("no detection limits: while something is unexplained, it hides what else may be there")
     if save_model is not None:
-        found.final.fit.model.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
+        found.in_hand.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
         say(f"model written to {save_model}")
     say.json(result)  # before the pictures, so that a full disk does not cost the result
     if report is not None:
@@ -220,12 +242,15 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to
         f"{output}: {len(found.output)} rows of {found.output_name}; against the log {errors.free_run_rms:.4g} "
         f"{found.unit} rms over the whole run, {errors.window_rms:.4g} {found.unit} in 1 s windows"
     )
+    for note in found.beyond:
+        say(f"note: the model extrapolates: {note}")
     for note in source.dropped:
         say(f"note: {source.path}: left out or doubtful: {note}")
     say.json(
         {
             "schema": "fiohost.simulation/1",
             "dropped": source.dropped,
+            "extrapolates": list(found.beyond),
             "log": str(log),
             "model": chosen.expression,
             "output": str(output),

@@ -1,0 +1,1 @@
+"""Watching a motor while it runs: windows of one second against its model, and when they stop agreeing."""
