@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import time
 import urllib.request
@@ -60,8 +61,8 @@ class Screen:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._server.terminate()
-        self._server.wait(timeout=20)
+        self._server.kill()
+        self._server.wait()
 
     def _do(self, *arguments: str) -> str:
         done = subprocess.run(["xdotool", *arguments], env=self.environment, capture_output=True, text=True)
@@ -70,11 +71,21 @@ class Screen:
     def window(self, title: str) -> str:
         return str(until(lambda: self._do("search", "--name", title))).splitlines()[-1]
 
-    def click(self, window: str, x: float, y: float) -> None:
-        shell = self._do("getwindowgeometry", "--shell", window)
-        size = {key: int(number) for key, number in re.findall(r"(\w+)=(-?\d+)", shell)}
-        at = (size["X"] + x * size["WIDTH"], size["Y"] + (1.0 - y) * size["HEIGHT"])
+    def click(self, window: str, x: float, y: float, size_px: tuple[int, int] | None = None) -> None:
+        """Click at fractions of the window from its lower left corner, or of what is so large at its upper left."""
+        size = self._geometry(window)
+        wide, high = size_px or (size["WIDTH"], size["HEIGHT"])
+        at = (size["X"] + x * wide, size["Y"] + (1.0 - y) * high)
         self._do("mousemove", *(str(round(a)) for a in at), "click", "1")
+
+    def _geometry(self, window: str) -> dict[str, int]:
+        shell = self._do("getwindowgeometry", "--shell", window)
+        return {key: int(number) for key, number in re.findall(r"(\w+)=(-?\d+)", shell)}
+
+    def size(self, window: str) -> tuple[int, int]:
+        """Width and height in pixels."""
+        size = self._geometry(window)
+        return size["WIDTH"], size["HEIGHT"]
 
     def close(self, window: str) -> None:
         """What the cross in a window's corner sends."""
@@ -103,10 +114,11 @@ class Screen:
 
 
 class Chromium:
-    """A headless browser with one tab."""
+    """A headless browser with one tab; *names* lead to this computer, as where somebody else's name server says so."""
 
-    def __init__(self, profile: Path) -> None:
+    def __init__(self, profile: Path, *names: str) -> None:
         self._profile = profile
+        self._rules = ", ".join(f"MAP {name} 127.0.0.1" for name in names)
         self._loop = asyncio.new_event_loop()
         self._number = 0
 
@@ -114,8 +126,10 @@ class Chromium:
         flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-extensions",
                  "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
                  "--window-size=1200,860", "--remote-debugging-port=0", f"--user-data-dir={self._profile}"]  # fmt: skip
+        flags += [f"--host-resolver-rules={self._rules}"] if self._rules else []
         null = subprocess.DEVNULL
-        self._process = subprocess.Popen(["chromium", *flags, "about:blank"], stdout=null, stderr=null)
+        command = ["chromium", *flags, "about:blank"]
+        self._process = subprocess.Popen(command, stdin=null, stdout=null, stderr=null, start_new_session=True)
         told = self._profile / "DevToolsActivePort"
         port = until(lambda: told.exists() and told.read_text().partition("\n")[0])
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
@@ -131,8 +145,8 @@ class Chromium:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._loop.close()
-        self._process.terminate()
-        self._process.wait(timeout=20)
+        os.killpg(self._process.pid, signal.SIGKILL)  # the browser and all that it has started
+        self._process.wait()
 
     def _call(self, method: str, **parameters: Any) -> Any:
         self._number += 1
@@ -153,12 +167,20 @@ class Chromium:
     def open(self, url: str) -> None:
         self._call("Page.navigate", url=url)
 
+    def shown(self, page: Path) -> str:
+        """The elements of a file's page, once it and all that it carries has been drawn."""
+        self.open(page.as_uri())
+        until(lambda: self.value("location.protocol == 'file:' && document.readyState") == "complete")
+        return str(self.value("document.documentElement.outerHTML"))
+
     def close_tab(self) -> None:
         """Leave the page; the browser lives on."""
         self._call("Page.navigate", url="about:blank")
 
     def value(self, script: str) -> Any:
-        return self._call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
+        """What a script says, or, where it promises something, what comes of that."""
+        asked = {"expression": script, "returnByValue": True, "awaitPromise": True}
+        return self._call("Runtime.evaluate", **asked)["result"].get("value")
 
     def click(self, x: float, y: float) -> None:
         """Click on the canvas, at fractions of it from its lower left corner."""
@@ -166,6 +188,30 @@ class Chromium:
         at = {"x": box["x"] + x * box["width"], "y": box["y"] + (1.0 - y) * box["height"]}
         for kind in ("mousePressed", "mouseReleased"):
             self._call("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **at)
+
+    def press(self, selector: str) -> None:
+        """Click on an element where a hand would: in its middle, wherever it is on the page."""
+        box = self.value(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            "e.scrollIntoView({block: 'center'});"
+            "return e.getBoundingClientRect().toJSON(); })()"
+        )
+        at = {"x": box["x"] + 0.5 * box["width"], "y": box["y"] + 0.5 * box["height"]}
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **at)
+
+    def put(self, selector: str, value: object) -> None:
+        """Write into a field, as a person who leaves it then."""
+        self.value(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.value = {json.dumps(value)};"
+            "e.dispatchEvent(new Event('change', {bubbles: true})); })()"
+        )
+
+    def width(self, width_px: int, height_px: int) -> None:
+        """Make the page so large, as on a phone."""
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width_px, height=height_px, deviceScaleFactor=1, mobile=True
+        )
 
     def picture(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))

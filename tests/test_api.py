@@ -160,6 +160,18 @@ def test_a_diagnosis_can_be_read_drawn_kept_and_shown(found: Any, tmp_path: Path
     assert frame.loc["linear.tau_s", "unit"] == "s"
 
 
+def test_what_a_notebook_prints_is_short_and_plain(found: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)  # where rich colours what it is not asked to
+    assert "\x1b" not in found.result.summary()
+    assert "coulomb_friction.level_pct" in found.result.summary()
+    run = fiohost.simulate(found.logs[0], "linear")
+    controller = fiohost.design("linear", "p", steps_deg=[20.0], overshoot_pct=60.0, settling_s=2.0)
+    for shown in (found.logs[0], run, controller):
+        assert len(repr(shown)) < 250, repr(shown)
+    assert re.search(r"kp_pct_per_deg +[\d.]+\n", str(controller))
+    assert "asked for" in str(controller)
+
+
 def test_one_log_is_one_log_whatever_it_is_named_by(found: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     with fiohost.connect("sim") as b:

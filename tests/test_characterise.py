@@ -13,10 +13,11 @@ from click.testing import CliRunner
 from fiohost.bench.connect import connect
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, DataError, FiohostError
-from fiohost.labs.characterise import characterise, constants_of, predicted_run_down, solve
+from fiohost.labs.characterise import characterise
 from fiohost.labs.constants import MotorConstants
 from fiohost.labs.measure import measure
 from fiohost.labs.readings import NoLoad, Readings
+from fiohost.labs.solve_constants import constants_of, predicted_run_down, solve
 
 ROOT = Path(__file__).resolve().parent.parent
 PRINTED = ROOT / "docs" / "labs" / "nxt_readings.toml"
@@ -73,6 +74,7 @@ def test_viscous_friction_is_not_taken_for_torque_constant() -> None:
     ("target", "L_H", "supply_V", "true"),
     [
         ("sim:nxt_no_load", 0.0047, 4.5, {"Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00131, "Tc": 0.0, "J": 0.00233}),
+        ("sim:nxt_lego", 0.0047, 4.5, {"Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00016, "Tc": 0.009, "J": 0.00233}),
         ("sim", 0.015, 9.0, {"Ra": 5.515, "Ki": 0.3408, "Kb": 0.4869, "B": 0.0, "Tc": 0.02045, "J": 3.07e-3}),
     ],
 )
@@ -90,7 +92,8 @@ def test_virtual_meters_find_the_simulated_boards_constants(
         # a tenth of the width more: the steps of a meter are no Gaussian scatter
         room = 0.1 * (high - low)
         assert low - room <= value <= high + room, name
-    assert found["J"].value == pytest.approx(true["J"], rel=0.015)
+    # a supply of 1 A slows the stronger steps
+    assert found["J"].value == pytest.approx(true["J"], rel=0.03 if target == "sim:nxt_lego" else 0.015)
     time_s, begin = readings.run_down[0]
     assert begin is not None
     predicted = predicted_run_down(max(found["B"].value, 0.0), max(found["Tc"].value, 0.0), found["J"].value, begin)
@@ -212,7 +215,10 @@ def test_the_command_saves_constants_that_the_experiments_take(tmp_path: Path) -
 # ---- inductance, speed against torque ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("target", "true_H", "supply_V"), [("sim:nxt_no_load", 0.0047, 4.5), ("sim", 0.015, 9.0)])
+@pytest.mark.parametrize(
+    ("target", "true_H", "supply_V"),
+    [("sim:nxt_no_load", 0.0047, 4.5), ("sim", 0.015, 9.0), ("sim:nxt_lego", 0.0047, 4.5)],
+)
 def test_the_saved_inductance_is_the_one_in_the_board(
     target: str, true_H: float, supply_V: float, tmp_path: Path
 ) -> None:
@@ -225,7 +231,9 @@ def test_the_saved_inductance_is_the_one_in_the_board(
     assert abs(motor.L_H - true_H) < 0.02 * true_H
     assert told["values"]["speed_torque_slope_rad_s_per_Nm"] == pytest.approx(-1.0 / motor.damping_Nms, rel=0.01)
     by_power = [row["B_Nms"] for row in told["values"]["friction_by_power"]]
-    assert (by_power[0] > 3.0 * by_power[-1]) == (target == "sim")  # Fig. D-22: friction that is dry falls with power
+    assert (by_power[0] > 3.0 * by_power[-1]) == (
+        target != "sim:nxt_no_load"
+    )  # Fig. D-22: friction that is dry falls with power
     assert (tmp_path / "lab" / "characterise_curves.png").stat().st_size > 10_000
     again = Readings.load(tmp_path / "lab" / "readings.toml")
     assert len(again.rise) == 12

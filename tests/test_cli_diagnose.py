@@ -171,7 +171,8 @@ def test_the_report_is_a_page_of_its_own_and_plots(whole: tuple[Path, Result]) -
     report = whole[0] / "report"
     html = (report / "report.html").read_text(encoding="utf-8")
     assert "constant load" in html
-    assert html.count("<svg") >= len(TRAIN) + 1
+    assert html.count('class="record"') == len(TRAIN) + 1
+    assert html.count("<svg") >= 3  # the residual, the candidates, the logs
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#)""", html)
     assert not re.search(r"url\((?!#)", html)
     plots = list(report.glob("*.png"))

@@ -61,6 +61,14 @@ def test_figures_of_a_first_order_lag_are_its_logarithms() -> None:
     assert found.settling_2_s == pytest.approx(0.1 * math.log(50.0), abs=5e-5)
 
 
+@pytest.mark.parametrize("end", [156.0, 0.1, -1.0 / 3.0])
+def test_a_response_that_rests_does_not_overshoot_by_round_off(end: float) -> None:
+    times = np.arange(401) * 0.005
+    assert step_figures(times, np.minimum(times / 0.3, 1.0) * end, 0.0, 1.02 * end).overshoot_pct == 0.0
+    slow = end * (1.0 - np.exp(-times / 0.09))  # still 2e-10 of its way to go at the end
+    assert step_figures(times, slow, 0.0, end).overshoot_pct == 0.0
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=60), st.floats(-1e3, 1e3))
 @example([1.0, 2.225073858507e-311], 0.0)

@@ -126,8 +126,8 @@ def test_the_step_experiment_finds_the_motor_that_is_there(results: dict[str, La
     assert change == pytest.approx([-0.05 / Q.damping_Nms] * 3, abs=0.03)
 
 
-def test_dry_friction_shows_as_a_gain_that_grows_with_the_voltage(folder: Path) -> None:
-    with Session.open("sim", "no_load", folder, seed=1) as session:
+def test_dry_friction_shows_as_a_gain_that_grows_with_the_voltage(tmp_path: Path) -> None:
+    with Session.open("sim", "no_load", tmp_path, seed=1) as session:
         result = open_loop_step(session, (1.0, 4.0))
     low, high = result.values["target_K_rad_s_V"]
     assert high > 1.1 * low

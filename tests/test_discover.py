@@ -9,7 +9,6 @@ import pytest
 from bench_data import QUANTUM_DEG, TRUTH, measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.floor import repeats
 from fiohost.discover.folds import folds, slices
 from fiohost.discover.metrics import judge
 from fiohost.discover.missing_torque import missing_torque
@@ -17,6 +16,7 @@ from fiohost.discover.result import to_json
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import make_record
+from fiohost.estimation.repeats import repeats
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run

@@ -7,6 +7,7 @@ import re
 import sys
 from dataclasses import fields
 from pathlib import Path
+from types import ModuleType
 
 import click
 import pytest
@@ -129,23 +130,24 @@ def test_every_toml_example_is_accepted(where: str, block: str, tmp_path: Path) 
             pytest.fail(f"{where}: unknown schema {other}")
 
 
-def test_the_effects_page_is_the_library() -> None:
-    spec = importlib.util.spec_from_file_location("effects_page", ROOT / "docs" / "tools" / "effects_page.py")
+def tool(name: str) -> ModuleType:
+    """A script of docs/tools as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "tools" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where its dataclasses look for their module
     spec.loader.exec_module(module)
-    assert text("effects.md") == module.page(), "write it anew: python docs/tools/effects_page.py"
+    return module
+
+
+@pytest.mark.parametrize(("name", "page"), [("effects_page", "effects.md"), ("numbers_page", "reference/numbers.md")])
+def test_a_page_made_by_a_script_is_what_the_script_makes(name: str, page: str) -> None:
+    assert text(page) == tool(name).page(), f"write it anew: python docs/tools/{name}.py"
 
 
 def test_the_wiring_pictures_are_those_of_their_script() -> None:
-    spec = importlib.util.spec_from_file_location("wiring", ROOT / "docs" / "tools" / "wiring.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["wiring"] = module  # where its dataclasses look for their module
-    spec.loader.exec_module(module)
-    for name, picture in module.pictures().items():
+    for name, picture in tool("wiring").pictures().items():
         assert (ROOT / "docs" / "images" / name).read_text(encoding="utf-8") == picture, name
         assert f"images/{name}" in text("firmware.md")
 

@@ -50,6 +50,16 @@ def test_a_log_cut_at_any_place_is_not_whole(log: Path) -> None:
         assert found.rows <= 100
 
 
+def test_a_cut_in_mid_line_is_told_from_one_between_lines(log: Path) -> None:
+    data = log.read_bytes()
+    between = data.rindex(b"\n", 0, len(data) - 1) + 1
+    in_the_middle = "the last line is cut off in its middle"
+    assert in_the_middle not in judge(data[:between]).notes
+    assert in_the_middle in judge(data[: between - 3]).notes
+    assert in_the_middle in judge(data[:50]).notes  # of the head
+    assert in_the_middle not in judge(b"").notes
+
+
 def test_what_is_missing_is_said(log: Path) -> None:
     lines = log.read_text().splitlines(keepends=True)
     first = next(i for i, line in enumerate(lines) if line[0].isdigit())

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fiohost.bench.connect import connect
+from fiohost.bench.log import Log
 from fiohost.labs.constants import TEXT
-from fiohost.labs.difference import MOST_LOGS, QUESTION, logs_of, with_difference
+from fiohost.labs.difference import MOST_LOGS, QUESTION, logs_of, reaches_limit, with_difference
+from fiohost.labs.elevator.car import car_model
+from fiohost.labs.elevator.experiment import Plan, _run, small_moves
+from fiohost.labs.elevator.ride import up_and_down
 from fiohost.labs.pi_design import figures_of
 from fiohost.labs.printed import MEASURED, printed
 from fiohost.labs.result import LabResult
 from fiohost.labs.session import Gains, Session, position
+from fiohost.labs.small import small_steps_of_angle, small_steps_of_voltage
 from firmware_model import load_plant
 
 Q = TEXT["no_load"]
@@ -26,14 +33,88 @@ def lab(target: str, folder: Path, gains: tuple[float, ...]) -> LabResult:
         return LabResult("position-control", "loop", target, files=dict(session.logs))
 
 
-def test_what_the_labs_target_has_beside_its_model_is_seen_and_nothing_else_is_named(tmp_path: Path) -> None:
-    result = with_difference(lab("sim:nxt_lego", tmp_path, (1.5, 5.0)), Q.model())
-    found = result.values["difference"]
-    assert found["verdict"] != "no_missing_effect"
-    assert set(found["effects"]) <= {"coulomb_friction", "input_deadband"}
-    (answer,) = (a.answer for a in result.answers if a.question == QUESTION)
+def test_what_the_labs_target_has_beside_its_model_is_named_and_nothing_else(tmp_path: Path) -> None:
+    """From the small steps of the lab; the large one's current is cut, which the model does not have."""
+    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1) as session:
+        session.on_target("position_kp5", position(Gains(5.0), 160.0), 1.0)
+        small_steps_of_angle(session, (1.5, 2.0, 5.0), "position")
+        result = LabResult("position-control", "loop", session.target, files=dict(session.logs))
+    found = with_difference(result, Q.model(), limited=Q.model(current_limit_A=1.0))
+    told = found.values["difference"]
+    assert len(told["logs"]) == 3
+    assert all("small" in name for name in told["logs"])
+    assert told["verdict"] == "explained"
+    assert set(told["effects"]) == {"coulomb_friction", "input_deadband"}
+    (answer,) = (a.answer for a in found.answers if a.question == QUESTION)
     assert "friction" in answer
     assert "fiohost diagnose" in answer
+
+
+def test_small_moves_of_the_elevator_name_what_its_car_has(tmp_path: Path) -> None:
+    """The moves of the text ask for up to 2 A, of which the supply gives one; no model of these names explains them."""
+    plan, files = Plan(), {}
+    with connect("sim:nxt_lego_elevator", seed=1) as bench:
+        for number, design in enumerate(small_moves(plan), start=1):
+            path = tmp_path / f"elevator_small_{number}.csv"
+            _run(bench, plan, design, up_and_down, path)
+            files[f"log {number}"] = str(path)
+    limited = car_model(current_limit_A=1.0)
+    assert not any(reaches_limit(Log.read(name), limited) for name in files.values())
+    told = with_difference(LabResult("elevator", "car", "sim", files=files), car_model(), limited=limited).values
+    assert told["difference"]["verdict"] == "explained"
+    assert set(told["difference"]["effects"]) == {"coulomb_friction", "input_deadband"}
+
+
+def test_small_steps_of_voltage_name_what_the_target_has(tmp_path: Path) -> None:
+    """3 V ask a standing winding for 1.3 A; the lab's small steps stay below the limit, both ways."""
+    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1) as session:
+        small_steps_of_voltage(session, "step")
+        result = LabResult("open-loop-step", "steps", session.target, files=dict(session.logs))
+    told = with_difference(result, Q.model(), limited=Q.model(current_limit_A=1.0)).values["difference"]
+    assert told["verdict"] == "explained"
+    assert "coulomb_friction" in told["effects"]
+
+
+def test_small_steps_of_the_arm_name_its_dry_friction(tmp_path: Path) -> None:
+    """What it turns through in its tuning and its project asks for more than 1 A."""
+    q = TEXT["arm_measured"]
+    with Session.open("sim:nxt_lego_arm", "arm_measured", tmp_path, seed=1) as session:
+        small_steps_of_angle(session, (2.0, 3.0, 5.0), "arm")
+        result = LabResult("design-project", "arm", session.target, files=dict(session.logs))
+    told = with_difference(result, q.model(), limited=q.model(current_limit_A=1.0)).values["difference"]
+    assert told["verdict"] == "explained"
+    assert "coulomb_friction" in told["effects"]
+
+
+def test_what_is_being_done_is_said_before_each_run(tmp_path: Path) -> None:
+    said: list[str] = []
+    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1, said=said.append) as session:
+        small_steps_of_angle(session, (1.5, 2.0), "position")
+    assert [text.split(":")[0] for text in said] == [Path(name).stem for name in session.logs.values()]
+    assert all("2 s on sim:nxt_lego" in text for text in said)
+    assert len(said) == 2
+
+
+def test_small_logs_go_before_those_of_the_text(tmp_path: Path) -> None:
+    names = ["elevator_p_1", "elevator_power_1", "elevator_small_1", "elevator_small_2", "elevator_small_3"]
+    for name in names:
+        (tmp_path / f"{name}.csv").write_text("row\n" * 10)
+    files = {f"log {name}": str(tmp_path / f"{name}.csv") for name in names}
+    assert [Path(name).stem for name in logs_of(LabResult("x", "x", "sim", files=files))] == names[2:]
+    assert len(logs_of(LabResult("x", "x", "sim", files=dict(list(files.items())[:4])))) == MOST_LOGS
+
+
+def test_logs_that_a_known_limit_of_the_current_does_not_reach_are_looked_at(tmp_path: Path) -> None:
+    """4.2 V ask a standing winding for 1.8 A; small steps ask for half an ampere."""
+    limited = Q.model(current_limit_A=1.0)
+    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1) as session:
+        for name, ref_deg in (("a", 160.0), ("b", 40.0), ("c", 160.0), ("d", 45.0), ("e", -50.0)):
+            session.on_target(f"position_{name}", position(Gains(1.5), ref_deg), 1.0)
+        result = LabResult("position-control", "loop", "sim", files=dict(session.logs))
+    assert [Path(name).stem for name in logs_of(result, limited)] == ["position_b", "position_d", "position_e"]
+    assert [Path(name).stem for name in logs_of(result)] == ["position_a", "position_c", "position_e"]
+    only_cut = replace(result, files={role: name for role, name in result.files.items() if name[-5] in "acd"})
+    assert [Path(name).stem for name in logs_of(only_cut, limited)] == ["position_a", "position_c", "position_d"]
 
 
 def test_a_target_that_is_the_model_lacks_nothing(tmp_path: Path) -> None:

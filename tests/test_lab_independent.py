@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -219,6 +219,43 @@ def test_d11_has_the_loop_gain_of_d7() -> None:
         return float(s.w[-1]) - end
 
     assert f"{brentq(over, 0.1, 2.0):.4g}" in printed(answer(11))
+
+
+def pid_loop(kp: float, ki: float, kd: float, points: int = 80_001) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fig. D-36 by transfer functions: times, the angle after a step of 1 rad, and after a load of -0.1 N m."""
+    m = D1
+    motor = np.polyadd(np.polymul([m.L, m.R], [m.J, m.B]), [m.K**2])
+    law = m.K * np.array([kd, kp, ki])
+    bottom = np.polyadd(np.polymul(motor, [1.0, 0.0, 0.0]), law)
+    times = np.linspace(0.0, 20.0, points)
+    _, angle = signal.step((law, bottom), T=times)
+    _, pushed = signal.step((-0.1 * np.polymul([m.L, m.R], [1.0, 0.0]), bottom), T=times)
+    return times, angle, pushed
+
+
+@pytest.mark.parametrize("number", [18, 19])
+def test_a_pid_design_is_right_to_the_printed_digits(number: int) -> None:
+    """The gains are those of the page's values; every figure beside them is worked out again."""
+    (table,) = (t for t in answer(number).tables if t.title == "Three designs")
+    told = {str(row[0]): [cell_text(cell) for cell in row[1:]] for row in table.rows}
+    exact = {str(row[0]): row[1] for row in table.rows}
+    t, angle, pushed = pid_loop(*(float(exact[name]) for name in ("KP (V/rad)", "KI (V/(rad s))", "KD (V s/rad)")))
+    over = f"{100.0 * (angle.max() - 1.0):.3g}"
+    assert over == f"{float(told['overshoot (%)'][0]):.3g}" == {18: "4.3", 19: "2.8"}[number]
+    rise = t[np.argmax(angle >= 0.9)] - t[np.argmax(angle >= 0.1)]
+    assert float(told["rise (s)"][0]) == pytest.approx(rise, abs=t[1])
+    outside = t[np.flatnonzero(np.abs(angle - 1.0) > 0.02)[-1] + 1]
+    assert float(told["settled to 2 % (s)"][0]) == pytest.approx(outside, abs=2.0 * t[1])
+    assert told["load turns it by (rad)"][0] == f"{np.abs(pushed).max():.4g}"
+    assert abs(pushed[-1]) < 1e-6
+    on_angle = [float(row[2]) for row in table.rows[:3]]
+    t, angle, _ = pid_loop(*on_angle)
+    settled_s = t[np.flatnonzero(np.abs(angle - 1.0) > 0.02)[-1] + 1]
+    words = " ".join(a.answer for a in answer(number).answers)
+    assert f"overshoot by {100.0 * (angle.max() - 1.0):.3g} % and are settled to 2 % after {settled_s:.2f} s" in words
+    assert (f"{100.0 * (angle.max() - 1.0):.3g}", f"{settled_s:.2f}") == {18: ("4.11", "0.22"), 19: ("3.68", "0.19")}[
+        number
+    ]
 
 
 # ---- labs ----------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.replay import replay
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
+from fiohost.discover.units import in_metres
 from fiohost.errors import ModelError
 from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
@@ -116,3 +117,9 @@ def test_speeds_of_an_axis_are_held_in_millimetres_too() -> None:
     record = record_from_log(Log.from_columns(columns, {"output_quantum": "1e-4"}))
     assert (record.unit, record.quantum) == ("mm/s", pytest.approx(0.1))
     assert record.y[-1] == pytest.approx(19.8)
+
+
+def test_a_figure_that_is_only_named_has_no_length() -> None:
+    """As in where a smallest visible effect shows."""
+    told = {"shows_in": {"log": "a.csv", "figure": "window_rms"}, "excess": {"figure": "window_rms", "value": 2.0}}
+    assert in_metres(told) == {**told, "excess": {"figure": "window_rms", "value": 0.002}}

@@ -75,13 +75,39 @@ def test_every_command_that_drives_has_the_guard(
     assert "the encoder says things that cannot be" in done.stderr or "turns against the duty" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (frozen, "the shaft stood for the whole run though the motor was driven with 20 % and more"),
+        (mirrored, "the shaft turns against the command"),
+        (scattered, "the encoder says things that cannot be"),
+    ],
+)
+def test_a_lab_ends_where_the_motor_does_not_follow(
+    wrong: object, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its runs are too short for a shaft that stands to be taken for a stalled one."""
+    monkeypatch.chdir(tmp_path)
+    made: list[WatchedTransport] = []
+
+    def open_it(*_: object) -> WatchedTransport:
+        made.append(WatchedTransport(on_receive=wrong))  # type: ignore[arg-type]
+        return made[-1]
+
+    monkeypatch.setitem(__import__("fiohost.bench.connect", fromlist=["_MEDIA"])._MEDIA, "sim", open_it)
+    done = CliRunner().invoke(cli, ["lab", "speed-control", "--gains", "0.5", "--refs", "12", "--no-diagnose"])
+    assert done.exit_code == 1
+    assert said in done.stderr
+    assert made[-1].braked
+
+
 def test_a_stall_is_judged_by_its_heat() -> None:
     """Half the duty may last four times as long, and what moves begins anew."""
 
-    def seconds(duty_pct: float, move_every: int = 0, patience: float = 1.0) -> float:
+    def seconds(duty_pct: float, move_every: int = 0, patience: float = 1.0, every: int = 1) -> float:
         guard = MotorGuard(Guards(), 0.005, 720, patience)
         angle = 0.0
-        for k in range(100_000):
+        for k in range(0, 100_000, every):
             if move_every and k % move_every == 0:
                 angle += 3.0
             try:
@@ -91,10 +117,29 @@ def test_a_stall_is_judged_by_its_heat() -> None:
         return float("inf")
 
     assert seconds(100.0) == pytest.approx(3.0, abs=0.02)
+    assert seconds(100.0, every=7) == pytest.approx(3.0, abs=0.04)  # the host missed the others, the motor did not
     assert seconds(-50.0) == pytest.approx(12.0, abs=0.02)
     assert seconds(5.0) == float("inf")  # 20 minutes
     assert seconds(100.0, move_every=400) == float("inf")
     assert seconds(100.0, patience=10.0) == pytest.approx(30.0, abs=0.02)
+
+
+def test_pulses_on_a_shaft_that_stands_add_up() -> None:
+    """Half a second of full duty, then a rest: no pulse is a stall by itself."""
+
+    def pulses(rest_s: float) -> int:
+        guard = MotorGuard(Guards(), 0.005, 720)
+        for k in range(20_000):
+            n, since_s = divmod(k * 0.005, 0.5 + rest_s)
+            try:
+                guard.check(k, Command.drive(100.0 if since_s < 0.5 else 0.0), 0.0)
+            except GuardError:
+                return int(n) + 1
+        return 0
+
+    assert pulses(0.05) == 7
+    assert pulses(2.0) == 10
+    assert pulses(6.0) == 0  # it cools in between
 
 
 def test_a_reversal_at_full_speed_and_single_damaged_readings_are_no_faults(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from fiohost.discover.degenerate import believed, degenerate
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.discover.stage import Stage
-from fiohost.discover.step import Found
+from fiohost.discover.step import Found, Step
+from fiohost.noise.estimate import NONE
 from fiohost.report.words import verdict_sentence
 
 STALL_NM = 0.34 * 9.0 / 5.5  # of plant_file's motor
@@ -134,3 +135,30 @@ def test_what_the_logs_cannot_show_is_not_named_where_it_leaves_something(tmp_pa
     doubted = believed(replace(sound, stages=(found.declared, replace(final, excesses=left))), hidden)
     assert doubted.steps == ()
     assert "cannot show" in str(doubted.offered[0].rejected_because)
+
+
+def test_only_what_makes_a_fit_degenerate_is_taken_back(stages: tuple[Stage, Stage]) -> None:
+    """The sound step before it stays."""
+    before, after = stages
+    bound = after.fit.model.parameter("linear.tau_s").upper
+    spoiled = replace(after, fit=replace(after.fit, model=after.fit.model.with_values({"linear.tau_s": bound})))
+    steps = tuple(Step(name, stage, {"residual_power_removed": 0.5}, ()) for name, stage in
+                  (("constant_load", after), ("duty_steps", spoiled)))  # fmt: skip
+    kept = believed(Found((before, spoiled), steps, ()), {})
+    assert [s.effect for s in kept.steps] == ["constant_load"]
+    assert kept.final is after
+    assert [c.effect for c in kept.offered] == ["duty_steps"]
+    assert "goes to its bound" in str(kept.offered[0].rejected_because)
+
+
+@pytest.mark.parametrize(("white", "named"), [(True, 2), (False, 1)])
+def test_a_small_part_of_what_is_no_noise_is_not_named(stages: tuple[Stage, Stage], white: bool, named: int) -> None:
+    before, after = stages
+    little = replace(after, judgements=tuple(
+        replace(j, errors=replace(j.errors, window_rms=0.95 * j.errors.window_rms)) for j in after.judgements
+    ))  # fmt: skip
+    steps = tuple(Step(name, stage, {"residual_power_removed": 0.1}, ()) for name, stage in
+                  (("constant_load", after), ("duty_steps", little)))  # fmt: skip
+    found = believed(Found((before, little), steps, (), noise=NONE, white=white), {})
+    assert len(found.steps) == named
+    assert white or "removes 10 % of what was left" in str(found.offered[0].rejected_because)

@@ -160,43 +160,6 @@ def test_a_closed_terminal(board: PtyBoard, tmp_path: Path, is_its_own: bool) ->
 STEP_40 = 'schema = "fiohost.experiment/1"\n[[command]]\nkind = "constant"\nlevel_pct = 40.0\nduration_s = 600.0\n'
 
 
-@pytest.mark.parametrize("command", [["manual", "--pwm", "40"], ["run", "step_40.toml", "--log", "run.csv"]])
-@pytest.mark.parametrize(("key", "code"), [(b"\x1a", 148), (b"\x1c", 131)])
-def test_keys_that_stop_a_process_brake(
-    board: PtyBoard, tmp_path: Path, command: list[str], key: bytes, code: int
-) -> None:
-    """Ctrl-Z would leave the motor running and drive on at fg, Ctrl-\\ would end the host without a brake."""
-    (tmp_path / "step_40.toml").write_text(STEP_40)
-    terminal, end = pty.openpty()
-    if command[0] == "manual":
-        command = [*command, "--log", "run.csv"]
-    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)  # no keys: it asks for none
-    os.close(end)
-    host.drives()
-    os.write(terminal, key)
-    assert host.ended() == code
-    whole(host.log, "stopped by Ctrl-")
-    os.close(terminal)
-
-
-def test_ctrl_s_holds_nothing_up(board: PtyBoard, tmp_path: Path) -> None:
-    """Held output would hold the loop: it goes on, and Ctrl-C is heard."""
-    (tmp_path / "step_40.toml").write_text(STEP_40)
-    terminal, end = pty.openpty()
-    before = termios.tcgetattr(end)
-    command = ["run", "step_40.toml", "--log", "run.csv"]
-    host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdout=end)
-    host.drives()
-    os.write(terminal, b"\x13")
-    host.drives(len(rows_of(host.log)) + 500)  # longer than from one shown line to the next
-    os.write(terminal, b"\x03")
-    assert host.ended() == 130
-    whole(host.log, "stopped by Ctrl-C")
-    assert termios.tcgetattr(end) == before
-    os.close(end)
-    os.close(terminal)
-
-
 def own_terminal(end: int) -> Any:
     """Makes a child the leader of a session on that terminal, as a shell's job in the foreground is."""
 
@@ -336,7 +299,7 @@ def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(
     monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
     with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
         board.runs_away = True
-        assert len(bench.drive(0.0, 0.1)) > 0
+        assert len(bench.drive(0.0, 1.0)) > 0
 
 
 def test_a_board_that_comes_back_and_ignores_the_brake_is_not_said_to_be_braked(tmp_path: Path) -> None:
