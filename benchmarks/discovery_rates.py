@@ -234,10 +234,10 @@ class Bound:
 
 # Seen once on the cases of the smoke run (0 of 20, 30 of 30, 3 of 5, 0 of 4), with room for chance.
 BOUNDS = (
-    Bound("nothing missing, an effect claimed", "none", lambda r: bool(r["named"]), most=1),
+    Bound("nothing missing, an effect claimed", "none", lambda r: bool(r["named"]), most=0),
     Bound("clear effects, first name right", "clear", first_right, least=26),
     Bound("pairs, first name right", "pair", first_right, least=1),
-    Bound("outside the library, explained away", "outside", lambda r: r["verdict"] == "explained", most=1),
+    Bound("outside the library, explained away", "outside", lambda r: r["verdict"] == "explained", most=0),
 )
 
 

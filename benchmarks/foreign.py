@@ -94,7 +94,7 @@ def judged(row: Row) -> str:
 
 
 def table(rows: Sequence[Row]) -> str:
-    lines = ["| equation | named | verdict | held-out windows over floor, before and after | CPU s | names |",
+    lines = ["| equation | named | verdict | held-out windows over the noise floor, before and after | CPU s | names |",
              "|---|---|---|---|---|---|"]  # fmt: skip
     for row in sorted(rows, key=lambda r: (KINDS.index(r["kind"]), r["seed"])):
         words = row["kind"].replace("_", " ") + ("" if DRAWS[row["kind"]].exact else " *")

@@ -3,9 +3,11 @@
     python benchmarks/matrix.py             all of it
     python benchmarks/matrix.py --sample    one of each kind, as the gate does
     python benchmarks/matrix.py --list
+    python benchmarks/matrix.py --without 3.12 --without 3.13    on a computer that has them not
 
 Each row makes a virtual environment of its own, installs the checkout, and runs a log through run, check, identify,
-simulate and a plot. An interpreter that is not on this computer is said to be absent, loudly, and counted.
+simulate and a plot. An interpreter that is not on this computer fails the run, unless it was named by ``--without``:
+what was not tried never passes for tried. The last line counts all three kinds.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.11", "3.12", "3.13")
 NUMPY = {"oldest": {"3.11": "1.26.0", "3.12": "1.26.0", "3.13": "2.1.0"}, "newest": {}}
 LIMIT_S = 1800
+KINDS = ("ok", "ABSENT", "FAILED")
 NO_UTF8: dict[str, str | None] = {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 STEP = (
     'schema = "fiohost.experiment/1"\n[[command]]\nkind = "staircase"\nlevels_pct = [20.0, 40.0, -30.0]\n'
@@ -54,6 +57,16 @@ ROWS = (
 )  # fmt: skip
 
 
+def interpreter_of(version: str) -> str | None:
+    """A Python of that version that starts: on the path, or one that pyenv has and has not chosen."""
+    kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    found = [shutil.which(f"python{version}"), *sorted(map(str, kept.glob(f"{version}.*/bin/python{version}")))]
+    for candidate in found:
+        if candidate and not subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode:
+            return candidate
+    return None
+
+
 def commands(fiohost: list[str]) -> list[list[str]]:
     return [
         [*fiohost, "run", "e.toml", "--log", "run.csv", "--json", "run.json"],
@@ -66,7 +79,7 @@ def commands(fiohost: list[str]) -> list[list[str]]:
 
 def run(row: Row, work: Path) -> str:
     """What came of it: ``ok`` with seconds, ``ABSENT``, or the command that failed and its last words."""
-    interpreter = shutil.which(f"python{row.python}")
+    interpreter = interpreter_of(row.python)
     if interpreter is None:
         return f"ABSENT: there is no python{row.python} on this computer"
     began = time.monotonic()
@@ -98,19 +111,29 @@ def run(row: Row, work: Path) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sample", action="store_true", help="one of each kind")
+    parser.add_argument("--only", default="", metavar="WORDS", help="rows whose name has WORDS in it")
     parser.add_argument("--list", action="store_true", help="say what there is, and do nothing")
+    parser.add_argument("--without", action="append", default=[], choices=PYTHONS, help="known to be absent here")
     asked = parser.parse_args()
-    rows = [row for row in ROWS if row.sampled or not asked.sample]
+    rows = [row for row in ROWS if (row.sampled or not asked.sample) and asked.only in row.name]
     if asked.list:
         print("\n".join(row.name for row in rows))
         return 0
-    failed = 0
+    counts = dict.fromkeys(KINDS, 0)
+    unasked = 0
     with tempfile.TemporaryDirectory() as work:
         for row in rows:
             result = run(row, Path(work))
-            failed += result.startswith("FAILED")
-            print(f"{'!!! ' if not result.startswith('ok') else ''}{row.name}: {result}", flush=True)
-    return 1 if failed else 0
+            kind = result.split()[0].rstrip(":")
+            counts[kind] += 1
+            unasked += kind == "ABSENT" and row.python not in asked.without
+            print(f"{'!!! ' if kind != 'ok' else ''}{row.name}: {result}", flush=True)
+    print(f"{len(rows)} circumstances: {', '.join(f'{count} {kind}' for kind, count in counts.items())}")
+    if unasked:
+        print(
+            f"!!! {unasked} OF {len(rows)} CIRCUMSTANCES WERE NOT TRIED: install their Python, or name it by --without"
+        )
+    return 1 if counts["FAILED"] or unasked else 0
 
 
 if __name__ == "__main__":
