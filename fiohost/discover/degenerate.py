@@ -11,6 +11,7 @@ from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.intervals import Estimate, estimates
+from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 
 CORE = "linear"
@@ -64,6 +65,21 @@ def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTI
     return None
 
 
+def may_vanish(after: Stage, name: str) -> str | None:
+    """Why an effect may as well not be there: the 95 % interval of each of its sizes holds the value where it vanishes;
+    None where one does not.
+    """
+    known, whys = estimates(after.fit, after.scattered_models), []
+    if name not in after.fit.model.effects:
+        return None
+    for size in (p for p in effect(name).parameters if p.neutral is not None and p.is_smooth and not p.ragged):
+        low, high = known[f"{name}.{size.name}"].ci95
+        if not low <= float(size.neutral or 0.0) <= high:
+            return None
+        whys.append(f"its {size.name} is anywhere in {low:.3g}..{high:.3g} {size.unit}")
+    return whys[0] if whys else None
+
+
 def _little(before: Stage, after: Stage, settings: DegenerateSettings = SETTINGS) -> str | None:
     """Why an effect beside which something else is missing is not believed, or None."""
     was, now = pool([j.errors for j in before.judgements]), pool([j.errors for j in after.judgements])
@@ -89,6 +105,7 @@ def believed(found: Found, hidden: Mapping[str, str]) -> Found:
         if why is None and unseen and not found.final.follows:
             why = f"these logs cannot show it: {unseen[0]}"
         last, kept = found.steps[-1], found.steps[:-1]
+        why = why or may_vanish(found.final, last.effect)
         if why is None and found.noise is not None and not found.white:
             why = _little(kept[-1].stage if kept else found.stages[0], found.final)
         if why is None:

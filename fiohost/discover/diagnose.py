@@ -231,4 +231,6 @@ def pooled(judgements: Sequence[Judgement]) -> Errors | None:
 def parameters(found: Diagnosis, stage: Stage) -> dict[str, Estimate]:
     """The parameters of one of the diagnosis' stages, with intervals."""
     count = max((r.quantum for r in found.train if r.kind == ANGLE), default=0.0)
-    return estimates(stage.fit, stage.scattered_models, count)
+    differ = found.noise_decided and found.noise is not None and found.noise.runs.known
+    differ = differ and len(stage.fit.residuals) == len(found.train)
+    return estimates(stage.fit, stage.scattered_models, count, differ)

@@ -81,16 +81,16 @@ def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) ->
     """
 
     def plain(stage: Stage) -> Stage:
-        fitted = fit(stage.fit.model, windows.bare, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+        fitted = fit(stage.fit.model, windows.plain, windows=True, near=stage.fit, tolerance=1e-6)
         train = drawing(windows.train, found.noise) if found.noise else windows.train
-        return judged(fitted, windows.bare, train, rng)
+        return judged(fitted, windows.plain, train, rng)
 
     stages, steps = list(found.stages), list(found.steps)
     if steps or not found.white:
         stages[0] = plain(stages[0])
     if steps and not found.white:
-        stages[-1] = plain(stages[-1])
-        steps[-1] = replace(steps[-1], stage=stages[-1])
+        steps = [replace(s, stage=plain(s.stage)) for s in steps]
+        stages[-1] = steps[-1].stage
     return replace(found, stages=tuple(stages), steps=tuple(steps))
 
 

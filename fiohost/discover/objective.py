@@ -8,8 +8,7 @@ that is left. Both give a deviance, -2 log likelihood but for a constant, and ev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,13 +48,14 @@ class State:
 
 
 class Objective:
-    """Training records, or pieces of them where they are few, as they are fitted."""
+    """Training records, or pieces of them where they are few, as they are fitted; ``plain`` without weights."""
 
     windows = False
 
     def __init__(self, train: Sequence[Record]) -> None:
         self.train = train
         self.records, self.groups = folds(train)
+        self.plain: Sequence[Record] = self.records
 
     @property
     def few(self) -> bool:
@@ -69,6 +69,10 @@ class Objective:
     def screens(self, state: State) -> list[Screen]:
         """Around which fits the library is scored."""
         raise NotImplementedError
+
+    def plainly(self, state: State) -> Fit:
+        """A state's model fitted to them."""
+        return state.fit
 
     def under(self, state: State, other: State) -> Fit:
         """A state's model fitted under another's noise."""
@@ -110,38 +114,42 @@ class Windows(Objective):
 
     windows = True
 
-    @cached_property
-    def bare(self) -> list[Record]:
-        return plain(self.records)
-
     def __init__(self, train: Sequence[Record]) -> None:
         super().__init__(train)
-        self.records = [thinned(r, SETTINGS.window_step_s) for r in self.records]
+        every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
+        self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         # Restricted likelihoods compare only where the same is projected off: the shaft stands where the first says.
         self._moving: tuple[np.ndarray, ...] | None = None
+        self.plain = plain(self.records)
+        self._plainly: dict[int, tuple[State, Fit]] = {}
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        found = settle(fitted.model, self.records, fitted.starts, self._moving, bare_first=not whitened)
+        found = settle(fitted, self.records, self._moving, bare_first=not whitened)
         self._moving = found.moving
         return State(found.fit, found.records, found.deviance, found.noise, found.moving, found.bare)
 
     def screens(self, state: State) -> list[Screen]:
         # Where much is missing the noise takes up what an effect would explain: windows as they are are asked too.
-        bare = Screen(self._fitted(state.fit, self.bare), self.bare)
+        bare = Screen(self._fitted(state.fit, self.plain), self.plain)
         return [Screen(state.fit, state.records, bare.span.lines_hz), bare]
+
+    def plainly(self, state: State) -> Fit:
+        if id(state) not in self._plainly:
+            near = state.bare or state.fit
+            found = fit(near.model, self.plain, windows=True, near=near, max_iterations=20, tolerance=1e-4)
+            self._plainly[id(state)] = state, found
+        return self._plainly[id(state)][1]
 
     def under(self, state: State, other: State) -> Fit:
         return self._fitted(state.fit, other.records)
 
     def null(self, state: State, best: State) -> State:
         assert best.noise is not None
-        records = with_noise(self.bare, state.fit.model, best.noise, state.moving)
+        records = with_noise(self.plain, state.fit.model, best.noise, state.moving)
         if best.noise.runs.known:
             records = with_scatter(state.fit, records, best.noise)
         return State(self._fitted(state.fit, records), records, state.deviance, best.noise, state.moving)
 
     @staticmethod
     def _fitted(found: Fit, records: Sequence[Record]) -> Fit:
-        return fit(
-            found.model, records, windows=True, starts=found.starts, max_iterations=12, tolerance=1e-5, zeros=False
-        )
+        return fit(found.model, records, windows=True, near=found, max_iterations=12, tolerance=1e-5, zeros=False)

@@ -58,6 +58,7 @@ def again(
         records,
         windows=found.windows,
         starts=_starts(found, model, records),
+        near=found,
         max_iterations=max_iterations,
         tolerance=tolerance,
         zeros=bool(other),  # an order that is new may have left the logs' own zeros open
@@ -69,11 +70,11 @@ def as_it_is(found: Fit, model: Model, records: Sequence[Record]) -> Fit:
     return again(found, model, records, 1, tolerance=ENDLESS)
 
 
-def _cost(found: Fit, model: Model, records: Sequence[Record], lash: bool = False) -> float:
+def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = False) -> float:
     """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
     ``lash`` is to be taken up anew.
     """
-    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash, zeros=False).cost
+    return unchanged(model, records, near=found, windows=found.windows, lash=lash, zeros=False).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
@@ -85,14 +86,19 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         trials = [*score.trials[: OPTIMISER.starts]]
         looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
         trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[: OPTIMISER.raw_starts]]
-    first = base.model.with_effect(score.effect.name, trials[0])
-    starts = _starts(base, first, records)
-    rough = [_from(base, base.model.with_effect(score.effect.name, t), starts, records) for t in trials]
-    return min(rough, key=lambda f: f.cost)
+    models = [base.model.with_effect(score.effect.name, t) for t in trials]
+    starts = _starts(base, models[0], records)
 
+    def some(model: Model, iterations: int) -> Fit:
+        return fit(
+            model, records, windows=base.windows, starts=starts, near=base, max_iterations=iterations, tolerance=1e-2
+        )
 
-def _from(base: Fit, model: Model, starts: Sequence[Start], records: Sequence[Record]) -> Fit:
-    return fit(model, records, windows=base.windows, starts=starts, max_iterations=5, tolerance=1e-2)
+    if not base.windows or len(models) == 1:
+        return min((some(m, 5) for m in models), key=lambda f: f.cost)
+    # Windows are nearly convex: after one step the best start is known.
+    ahead = min((some(m, 1) for m in models), key=lambda f: f.cost)
+    return min(ahead, again(ahead, ahead.model, records, 4, 1e-2), key=lambda f: f.cost)
 
 
 def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
@@ -168,7 +174,7 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
         name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
         grown = [neutral + k * (found.model.number(name) - neutral) for k in OPTIMISER.choice_sizes]
         models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
-    costs = [_cost(found, m, records, lash=True) for m in models]
+    costs = [cost_of(found, m, records, lash=True) for m in models]
     if not models:
         return found
     return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
@@ -196,7 +202,7 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         centre = found.model.number(key)
         points = [centre * f if parameter.neutral == 0.0 else centre + OPTIMISER.moment_s * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
-        costs = [_cost(found, m, records) for m in models]
+        costs = [cost_of(found, m, records) for m in models]
         near = [models[i] for i in np.argsort(costs)[:2]]
         fits = [again(found, m, records, 12, OPTIMISER.near_enough if found.windows else 1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)
@@ -213,7 +219,7 @@ def _centred(found: Fit, key: str, records: Sequence[Record]) -> Fit:
     def same(value: float) -> bool:
         inside = parameter.lower <= value <= parameter.upper
         moved = found.model.with_values({key: value}) if inside else found.model
-        return inside and _cost(found, moved, records) <= found.cost * (1.0 + OPTIMISER.flat)
+        return inside and cost_of(found, moved, records) <= found.cost * (1.0 + OPTIMISER.flat)
 
     def edge(way: float) -> float:
         near, step = centre, way * max(abs(centre), 1e-3) * OPTIMISER.first_step
@@ -255,7 +261,7 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
         return found.model.with_values(dict(zip(names, inside, strict=True)))
 
     def cost(model: Model) -> float:
-        return _cost(found, model, records)
+        return cost_of(found, model, records)
 
     looked = [moved(draw) for draw in range(OPTIMISER.looks)]
     costs = each(cost, looked)

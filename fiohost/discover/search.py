@@ -20,7 +20,16 @@ from fiohost.discover.missing_torque import dependences
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
 from fiohost.discover.objective import Objective, State
-from fiohost.discover.optimise import again, fit_anew, full_fit, polish, rough_fit, searched_again, unstuck
+from fiohost.discover.optimise import (
+    again,
+    cost_of,
+    fit_anew,
+    full_fit,
+    polish,
+    rough_fit,
+    searched_again,
+    unstuck,
+)
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SETTINGS, SearchSettings
@@ -57,10 +66,13 @@ class Child:
 
 @dataclass(eq=False)
 class Node:
-    """A structure on the way: its state, and what was added in turn to come there."""
+    """A structure on the way: its state, what was added in turn to come there, and whether chance does not reach what
+    the library gains beside it, though no name is believed.
+    """
 
     state: State
     added: tuple[Added, ...] = ()
+    lacks: bool = False
     _stage: Stage | None = field(default=None, repr=False)
 
     @property
@@ -124,7 +136,7 @@ class Search:
                     was = grown.get(child.names)
                     if was is None or child.state.price < was.state.price:
                         grown[child.names] = child
-                if not grown:
+                if not grown and (not self.objective.windows or self.white(node)):
                     break  # beside the best one nothing is missing
             beam = self.simplest_first(list(grown.values()))[: self.settings.beam]
             if not beam or (best is not root and beam[0].state.price >= best.state.price):
@@ -201,6 +213,8 @@ class Search:
         drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
         whys = each(lambda c: self.objection(node, c, drawn), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
+        beyond = [c for c in children if c.gain > self.settings.margin * drawn.level]
+        node.lacks = not accepted and any(self.material(node, c) for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
@@ -216,8 +230,10 @@ class Search:
             most = s.refitted_in_windows if windows else s.refitted
             worth = [x for x in scores[:most] if x.share > s.worth * scores[0].share]
             worth = list(scores[: max(len(worth), s.least_refitted)])
-            # Around windows as another model begins them, signatures say nothing of what warms or of an end of travel.
-            always = [x for x in scores if x.trials and (x.effect.once or (windows and x.effect.unseen_in_windows))]
+            # Around windows as another model begins them, signatures say nothing of what warms or of an end of travel;
+            # and little of dry friction, which every drive has, once the gain has taken it up.
+            unseen = [x for x in scores if x.effect.unseen_in_windows or x.effect.everywhere] if windows else []
+            always = [x for x in scores if x.trials and (x.effect.once or x in unseen)]
             worth += [x for x in always if x not in worth]
             jobs += [(x, screen.fit, screen.records) for x in worth]
         self.say(f"refitting {len({x.effect.name for x, _, _ in jobs})} of them")
@@ -242,16 +258,29 @@ class Search:
             name, way = jobs[i][0].effect.name, id(jobs[i][2])
             best_gain = max(gains[k] for k in order if id(jobs[k][2]) == way)
             near = gains[i] >= best_gain - jobs[i][1].samples * np.log(s.hopeless)
-            if name in kept or (near and len(kept) < (s.finalists_in_windows if windows else s.finalists)):
+            room = len(kept) < (s.finalists_in_windows if windows else s.finalists)
+            if name in kept or (near and (room or (windows and jobs[i][0].effect.everywhere))):
                 kept.setdefault(name, {}).setdefault(way, int(i))
 
-        def finished(i: int) -> Child:
-            score, _, records = jobs[i]
-            found = full_fit(rough[i], score.effect, records, s.lost * floor)
-            state = self.objective.settled(found, whitened=records is node.state.records)
-            return Child(score, state, node.state.deviance - state.deviance)
+        def carried(i: int) -> Fit:
+            return full_fit(rough[i], jobs[i][0].effect, jobs[i][2], s.lost * floor)
 
-        done = each(finished, [i for ways in kept.values() for i in ways.values()])
+        finals = [i for ways in kept.values() for i in ways.values()]
+        fits = dict(zip(finals, each(carried, finals), strict=True))
+
+        def settled(i: int) -> Child:
+            state = self.objective.settled(fits[i], whitened=jobs[i][2] is node.state.records)
+            return Child(jobs[i][0], state, node.state.deviance - state.deviance)
+
+        def apart(ways: list[int]) -> list[int]:
+            """Of two ways that came to the same, the first."""
+            if len(ways) < 2:
+                return ways
+            first, other = sorted(ways, key=lambda i: jobs[i][2] is not node.state.records)
+            same = cost_of(fits[other], fits[first].model, jobs[other][2]) <= s.as_good * fits[other].cost
+            return [first] if same else ways
+
+        done = each(settled, [i for ways in kept.values() for i in apart(list(ways.values()))])
         best = {name: min((c for c in done if c.name == name), key=lambda c: c.state.deviance) for name in kept}
         return sorted(best.values(), key=lambda c: c.state.price)
 
@@ -271,6 +300,10 @@ class Search:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
         if child.gain < s.margin * null.level and not finished:
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.level:.0f}"
+        if not self.material(node, child):
+            return f"removes {100 * max(self.taken(node, child), 0.0):.0f} % of what windows leave"
+        if not whole and self.plainly(node, child):
+            return None
         why = next((w for w in (objection(found, n) for n in [name, *node.names]) if w), None)
         why = why or core_lost(child.state.bare or found)  # of noise that is none, weights promise too much
         if why is not None:
@@ -292,6 +325,30 @@ class Search:
         if not of.shown and gain.total <= 2.0 * gain.most:
             return "is carried by one stretch of 2 s"
         return None
+
+    def taken(self, node: Node, child: Child) -> float:
+        """The share of the squared error of windows as they are that a candidate takes."""
+        return 1.0 - self.objective.plainly(child.state).cost / max(self.objective.plainly(node.state).cost, 1e-300)
+
+    def material(self, node: Node, child: Child) -> bool:
+        """Whether a further effect takes enough of what windows leave to be worth a name."""
+        further = self.objective.windows and bool(node.added)
+        return not further or self.taken(node, child) >= self.settings.least_further
+
+    def plainly(self, node: Node, child: Child) -> bool:
+        """Whether windows as they are speak for a candidate, whatever weights say: where much is missing the noise
+        takes up what an effect explains, and what is slow in it most of all. No other record can confirm an event.
+        """
+        if child.score.effect.once or self.taken(node, child) < self.settings.least_of_rest:
+            return False
+        before, after = self.objective.plainly(node.state), self.objective.plainly(child.state)
+        if any(objection(after, n) for n in [child.name, *node.names]) or core_lost(after):
+            return False
+        variance, groups = after.cost / max(after.samples, 1.0), self.objective.groups
+        records = self.objective.plain
+        without, beside = (left_out(f, variance, records, groups) for f in (before, after))
+        gain = Gain.of(without, beside, self.settings)
+        return gain.sure(self.settings) and gain.total > 2.0 * gain.most
 
     def left_out(self, fitted: Fit, child: Child) -> np.ndarray:
         """Deviance of left-out blocks of a fit, under the noise that a candidate leaves."""
@@ -394,10 +451,16 @@ class Search:
         after = final or (self.stage(added.after) if added.after else before)
         return Step(child.name, after, evidence, named_with(child.name, rivals), rivals)
 
+    @property
+    def most_torque_pct(self) -> float:
+        """A random torque of more than this is no noise."""
+        duty = np.concatenate([r.acting_pct for r in self.objective.records])
+        return min(self.settings.most_torque_pct, self.settings.most_of_duty * float(np.sqrt(np.mean(duty**2))))
+
     def white(self, node: Node) -> bool:
         """Whether what a node leaves in windows is noise: white, and followed by nothing."""
         state = node.state
-        if state.noise is None or state.noise.torque_pct.value > self.settings.most_torque_pct:
+        if state.noise is None or node.lacks or state.noise.torque_pct.value > self.most_torque_pct:
             return False
         null = draw_null(self.objective, state, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
         stage = self.stage(node)

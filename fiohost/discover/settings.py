@@ -170,8 +170,10 @@ class VerdictSettings:
 class WhitenSettings:
     """How windows are whitened by what is left in them."""
 
-    # Noise and model settle on each other within two rounds: the third changes neither by a tenth of its interval.
+    # Noise and model settle on each other in so many rounds at most; they have where the next round would change the
+    # noise by less than this share of its interval.
     rounds: int = 3
+    settled: float = 0.1
     # A speed below this share of the top speed is a digit of rounding.
     stands: float = 1e-6
     # Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
@@ -228,6 +230,9 @@ class SearchSettings:
     # A further effect accounts for this share of what whole runs still leave above the floor: small remains have many
     # takers.
     least_of_rest: float = 0.3
+    # Of what windows leave beside noise it takes this share at least: what a motor does by less from one minute to the
+    # next, as warming, one record cannot tell from noise.
+    least_further: float = 0.1
     # Search: so many structures are carried on beside each other, up to so many effects.
     beam: int = 2
     most_effects: int = 4
@@ -235,8 +240,14 @@ class SearchSettings:
     follows: float = 0.1
     # Nor is a torque that wanders by more than this share of full duty rms: benches that were measured stay below 2 %.
     most_torque_pct: float = 5.0
+    # Nor is one of more than this share of the commands' rms: a linear axis without its friction, driven at a fifth of
+    # full duty, left one of half of them.
+    most_of_duty: float = 0.2
     # Readings closer than this are thinned where windows are weighed by their noise: our own bench's tick.
     window_step_s: float = 0.005
+    # So many windows of all records are searched at most, spread over them: more only take longer. What is found is
+    # judged on all.
+    most_windows: int = 160
     # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum.
     stuck: float = 2.0
     screen: ScreenSettings = ScreenSettings()

@@ -17,7 +17,6 @@ from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
-from fiohost.motor.simulate import Start
 
 POINTS_DRAWN = 12
 
@@ -62,7 +61,7 @@ def with_curves(model: Model, train: Sequence[Record]) -> Unnamed | None:
     if not all(r.kind == ANGLE for r in train):
         return None
     windows = Windows(train)
-    records = windows.bare
+    records = windows.plain
     base = fit(model, records, windows=True, max_iterations=12, tolerance=1e-5)
     first, taken = base, []
     names = [n for n, item in effects().items() if item.unnamed and n not in model.effects]
@@ -89,5 +88,4 @@ def _with(base: Fit, name: str, records: Sequence[Record]) -> Fit:
         reach = max(float(r.y.max()) for r in records) - begin
         span = max(reach * POINTS_DRAWN / (POINTS_DRAWN - 1), 0.1)
     model = base.model.with_effect(name, {"from_deg": begin, "span_deg": span})
-    starts: Sequence[Start] = base.starts
-    return fit(model, records, windows=True, starts=starts, max_iterations=12, tolerance=1e-5)
+    return fit(model, records, windows=True, near=base, max_iterations=12, tolerance=1e-5)

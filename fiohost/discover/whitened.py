@@ -148,9 +148,9 @@ def with_noise(
     """The records with their windows whitened by a noise; what differs between runs is left as it is."""
     found = []
     for record, moves in zip(records, moving, strict=True):
-        times, edges = record.excitation.times_s, record.windows
-        whitener = Whitener.of(times, moves, record.weights, edges[:-1], edges[1:], motor_of(record, model), noise)
-        found.append(replace(record, every=1, disturbance=Disturbance(noise, whitener)))
+        times = record.excitation.times_s
+        whitener = Whitener.of(times, moves, record.weights, *record.looked_at(), motor_of(record, model), noise)
+        found.append(replace(record, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 
 
@@ -160,39 +160,38 @@ def drawing(records: Sequence[Record], noise: Noise) -> list[Record]:
 
 
 def plain(records: Sequence[Record]) -> list[Record]:
-    """The records with all their windows, as they are."""
-    return [replace(r, disturbance=None, every=1) for r in records]
+    """The records with their windows as they are."""
+    return [replace(r, disturbance=None) for r in records]
 
 
 def settle(
-    model: Model,
+    found: Fit,
     records: Sequence[Record],
-    starts: Sequence[Start] | None = None,
     moving: Sequence[np.ndarray] | None = None,
     rounds: int = WHITENING.rounds,
     bare_first: bool = True,
 ) -> Settled:
-    """Fit a model to windows and whiten them by what it leaves, in turn; ``moving`` where another model's movement is
+    """Carry a fit on to windows whitened by what it leaves, in turns; ``moving`` where another model's movement is
     to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
     most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
-    fitted = plainly = fit(model, bare, windows=True, starts=starts, max_iterations=most, tolerance=tolerance)
+    fitted = plainly = fit(found.model, bare, windows=True, near=found, max_iterations=most, tolerance=tolerance)
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise = tuple(bare), NONE
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
     if several:  # else what differs between runs would be taken for a slow torque
         columns = [run_columns(r, fitted.model, s) for r, s in zip(bare, fitted.starts, strict=True)]
         noise = replace(NONE, runs=each_alone(pulls_of(fitted, bare, columns)))
-    for _ in range(rounds):
-        noise = noise_of(fitted.model, fitted.starts, bare, noise.runs)
+    for turn in range(rounds):
+        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, noise.runs)
+        if turn > 0 and noise.near(was, WHITENING.settled):
+            noise = was
+            break
         whitened = with_noise(bare, fitted.model, noise, moves)
         if several:
             noise, whitened = with_runs(fitted, whitened, noise)
-        starts = fitted.starts
-        fitted = fit(
-            fitted.model, whitened, windows=True, starts=starts, max_iterations=12, tolerance=1e-5, zeros=False
-        )
+        fitted = fit(fitted.model, whitened, windows=True, near=fitted, max_iterations=12, tolerance=1e-5, zeros=False)
     return Settled(fitted, plainly, whitened, noise, moves)
 
 

@@ -4,7 +4,8 @@ Count noise and what a model lacks are both strongly correlated in time; the tex
 sample as independent, is too small by an order of magnitude. Summing the gradient over blocks lets the data say how
 much the blocks really differ (Liang and Zeger 1986; White 1980). Counts err alike in repeated motion, which blocks take
 for independent; fits to replicas through the same sensor show that part (parametric bootstrap, Efron 1979), and the
-wider of the two holds.
+wider of the two holds. Where runs differ from each other, their mean is known by their scatter: blocks are whole runs
+there, with Student's distribution (Cameron and Miller 2015).
 """
 
 from __future__ import annotations
@@ -83,13 +84,33 @@ def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return sandwich(fit.residuals, fit.jacobians)
 
 
-def estimates(fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0) -> dict[str, Estimate]:
+def between_runs(fit: Fit) -> np.ndarray:
+    """Half widths (k) of 95 % intervals of what is fitted, from how the records, runs of one bench, scatter; zeros of
+    one record.
+    """
+    runs = len(fit.residuals)
+    if runs < 2 or not fit.names:
+        return np.zeros(len(fit.names))
+    hessian = sum(columns.T @ columns for columns in fit.jacobians)
+    pulls = np.array([c.T @ r for c, r in zip(fit.jacobians, fit.residuals, strict=True)])  # (runs, k)
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=NEAR_SINGULAR, hermitian=True)
+    moves = (pulls / scale) @ inverse / scale
+    deviation = np.sqrt(runs / (runs - 1.0) * (moves**2).sum(axis=0))
+    return np.asarray(stdtrit(runs - 1, 0.975) * deviation)
+
+
+def estimates(
+    fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0, runs_differ: bool = False
+) -> dict[str, Estimate]:
     """Every number of the model with its interval; fixed ones have an interval of no width.
 
     ``replicas`` are models as fitted to replicas of the data, ``count`` is the step of the sensor of angle: where
     within the first count the zero lies, nobody knows, so places on the turn are known to half a count at best.
+    ``runs_differ`` says that each record is a run of its own and that these differ.
     """
     cov, determined = covariance(fit)
+    runs = between_runs(fit) if runs_differ else np.zeros(len(fit.names))
     found: dict[str, Estimate] = {}
     for name, value in fit.model.values.items():
         parameter = fit.model.parameter(name)
@@ -103,7 +124,7 @@ def estimates(fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0) -> d
         if len(replicas) > 1:
             drawn = [model.number(name) for model in replicas]
             half = max(half, float(stdtrit(len(drawn) - 1, 0.975) * np.std(drawn, ddof=1)))
-        half += 0.5 * count * _turns_with_zero(fit.model, name)
+        half = max(half, float(runs[i])) + 0.5 * count * _turns_with_zero(fit.model, name)
         low, high = max(value - half, parameter.lower), min(value + half, parameter.upper)
         at_bound = value <= parameter.lower or value >= parameter.upper
         found[name] = Estimate(value, parameter.unit, (low, high), bool(determined[i]), at_bound)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 REST_SAMPLES = 5
 SHORTEST = 20
+# Multiples of the golden ratio are spread evenly, and in step with nothing.
+GOLDEN = 0.6180339887498949
 # Standstill of one reading counts for no more than so much motion.
 REST_COUNTS_S = 0.05
 BRAKE = 2
@@ -83,9 +85,11 @@ class Record:
         return float(self.excitation.times_s[-1] - self.excitation.times_s[0])
 
     def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
-        """The first sample of every window that is looked at, and that after its last."""
-        firsts, lasts = self.windows[:-1][:: self.every], self.windows[1:][:: self.every]
-        return np.ascontiguousarray(firsts), np.ascontiguousarray(lasts)
+        """The first sample of every window that is looked at, and that after its last: evenly spread, but not in step
+        with anything that repeats itself.
+        """
+        chosen = (np.arange(len(self.windows) - 1) * GOLDEN) % 1.0 < 1.0 / self.every
+        return self.windows[:-1][chosen], self.windows[1:][chosen]
 
     @property
     def acting_pct(self) -> np.ndarray:

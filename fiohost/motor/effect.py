@@ -262,6 +262,11 @@ class Effect:
     measure_speed: Hook | None = field(default=None, repr=False)
 
     @property
+    def everywhere(self) -> bool:
+        """Whether every drive has it."""
+        return self.commonness == 0
+
+    @property
     def unseen_in_windows(self) -> bool:
         """Whether its score says nothing in windows that begin as another model has them: warmth, an end of travel."""
         return self.warms or self.event is not None

@@ -42,6 +42,11 @@ class Noise:
     samples: int = 0
     runs: RunToRun = NO_SCATTER
 
+    def near(self, other: Noise, share: float) -> bool:
+        """Whether another noise differs by no more than a share of what these intervals leave open."""
+        pairs = ((self.sensor, other.sensor), (self.torque_pct, other.torque_pct), (self.torque_s, other.torque_s))
+        return all(abs(a.value - b.value) <= share * (a.high - a.low) for a, b in pairs)
+
     @property
     def torque_known(self) -> bool:
         """Whether there is a torque at all, within what the data can tell."""

@@ -1,0 +1,115 @@
+"""Noise and what is missing, mistaken for each other: what windows as they are say, and what runs scatter by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fiohost.discover.diagnose import Diagnosis, diagnose_records
+from fiohost.discover.objective import Windows
+from fiohost.discover.result import to_json
+from fiohost.discover.settings import SETTINGS
+from fiohost.estimation.fit import Fit, fit
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record, make_record
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+
+STEP_S, QUANTUM_DEG = 0.005, 0.05
+AXIS = Model(
+    ("coulomb_friction", "viscous_friction_by_direction"),
+    {
+        "linear.gain_deg_s_per_pct": 20.0,
+        "linear.tau_s": 0.53,
+        "coulomb_friction.level_pct": 5.5,
+        "viscous_friction_by_direction.pct_at_1000_deg_s": 20.0,
+        "viscous_friction_by_direction.direction": "reverse",
+    },
+)
+LIBRARY = (
+    "coulomb_friction", "viscous_friction_by_direction", "constant_load", "bridge_voltage_drop", "duty_curve",
+    "armature_inductance", "transport_delay", "quadratic_drag",
+)  # fmt: skip
+
+
+def to_and_fro(seed: int, torque_pct: float = 0.4) -> Record:
+    """12 s of an axis under control, driven to and fro at a fifth of full duty, under a quick random torque."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(round(12.0 / STEP_S)) * STEP_S
+    speed = (
+        150.0 * rng.uniform(0.9, 1.1) * np.interp(times % 6.0, [0, 0.6, 2.4, 3.0, 3.6, 5.4, 6], [0, 1, 1, 0, -1, -1, 0])
+    )
+    duty = speed / 20.0 + 0.53 * np.gradient(speed, times) / 20.0 + 5.5 * np.sign(speed) * (np.abs(speed) > 1.0)
+    duty = np.round(duty + 0.2 * rng.standard_normal(len(times)), 2)
+    push, stays = np.zeros(len(times)), float(np.exp(-STEP_S / 0.02))
+    for k in range(1, len(times)):
+        push[k] = stays * push[k - 1] + np.sqrt(1.0 - stays**2) * torque_pct * rng.standard_normal()
+    bare = make_record("bare", times, duty + push, np.zeros(len(times)), quantum=QUANTUM_DEG, at_rest=True)
+    angle = np.floor(free_output(bare, Flat.of(AXIS), Start(0.0, 0.0)) / QUANTUM_DEG) * QUANTUM_DEG
+    return make_record(f"axis {seed}", times, duty, angle + 0.5 * QUANTUM_DEG, quantum=QUANTUM_DEG, at_rest=True)
+
+
+@pytest.fixture(scope="module")
+def axis() -> Diagnosis:
+    """Declared without any friction: weights take that for a torque of 3.5 % that wanders slowly."""
+    return diagnose_records([to_and_fro(2)], [to_and_fro(102)], Model(), library=LIBRARY)
+
+
+def test_friction_that_weights_take_for_a_wandering_torque_is_named(axis: Diagnosis) -> None:
+    told = to_json(axis)
+    assert {s["effect"] for s in told["steps"]} == {"coulomb_friction", "viscous_friction_by_direction"}
+    assert (told["verdict"], told["explained_to"]) == ("explained", "noise")
+    assert told["after"]["holdout"]["window_rms"] < 0.1 * told["before"]["holdout"]["window_rms"]
+
+
+def test_what_the_library_does_not_name_is_not_taken_for_noise() -> None:
+    """The torque that is left is half of what drives the axis."""
+    found = diagnose_records([to_and_fro(2)], (), Model(), library=("quadratic_drag",))
+    assert found.verdict == "unexplained"
+
+
+def test_intervals_hold_what_runs_scatter_about() -> None:
+    """A gain of its own in each of five runs, 1 % sd; each run knows its own a hundred times better."""
+    rng = np.random.default_rng(5)
+    held, narrow, sets = 0, 0, 300
+    for _ in range(sets):
+        inputs = [rng.uniform(20.0, 60.0, 200) for _ in range(5)]
+        left = [10.0 * 0.01 * rng.standard_normal() * u + 0.5 * rng.standard_normal(200) for u in inputs]
+        shift = sum(float(u @ r) for u, r in zip(inputs, left, strict=True)) / sum(float(u @ u) for u in inputs)
+        found = Fit(
+            Model(values={"linear.gain_deg_s_per_pct": 10.0 + shift}),
+            ("linear.gain_deg_s_per_pct",),
+            1.0,
+            tuple(r - shift * u for u, r in zip(inputs, left, strict=True)),
+            tuple(u[:, None] for u in inputs),
+            (),
+            (),
+            True,
+            1000.0,
+        )
+        low, high = estimates(found, runs_differ=True)["linear.gain_deg_s_per_pct"].ci95
+        held += low <= 10.0 <= high
+        low, high = estimates(found)["linear.gain_deg_s_per_pct"].ci95
+        narrow += low <= 10.0 <= high
+    assert 0.90 * sets <= held <= 0.99 * sets
+    assert narrow < 0.90 * sets
+
+
+def test_windows_of_long_records_are_looked_at_in_step_with_nothing() -> None:
+    """A command that repeats itself every two windows is seen in both of its halves, and the motor is found."""
+    rng = np.random.default_rng(0)
+    n = round(2.5 * SETTINGS.most_windows / STEP_S)
+    times = np.arange(n) * STEP_S
+    duty = np.where(times % 2.0 < 1.0, 40.0, -30.0)
+    truth = Model(values={"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.1})
+    bare = make_record("long", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
+    angle = free_output(bare, Flat.of(truth), Start(0.0, 0.0)) + 0.5 * rng.standard_normal(n)
+    windows = Windows([make_record("long", times, duty, angle, quantum=0.5, at_rest=True)])
+    firsts = np.concatenate([r.looked_at()[0] * STEP_S + r.excitation.clock_s for r in windows.plain])
+    assert 0.8 * SETTINGS.most_windows <= len(firsts) <= SETTINGS.most_windows + len(windows.plain)
+    halves = np.bincount((firsts % 2.0 >= 1.0).astype(int), minlength=2)
+    assert halves.min() > 0.4 * len(firsts)
+    found = fit(truth.with_values({"linear.tau_s": 0.2}), windows.plain, windows=True).model
+    assert found.number("linear.gain_deg_s_per_pct") == pytest.approx(10.0, rel=1e-3)
+    assert found.number("linear.tau_s") == pytest.approx(0.1, rel=0.01)
