@@ -138,7 +138,7 @@ def _kp_of(logs: Sequence[Log], given: float | None) -> float:
         kind = log.metadata.get("controller", "p")
         if kind != "p":
             raise DataError(
-                f"{log.path} was made with a {kind} controller; this method is for a proportional one: fit from the duty"
+                f"{log.path} is of a {kind} controller, and this method is for a proportional one: fit from the duty"
             )
     if given is None and len(said) == 1:
         try:
