@@ -214,7 +214,7 @@ class Search:
         whys = each(lambda c: self.objection(node, c, drawn), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
         beyond = [c for c in children if c.gain > self.settings.margin * drawn.level]
-        node.lacks = not accepted and any(self.material(node, c) for c in beyond)
+        node.lacks = not accepted and any(self.taken(node, c) >= self.settings.least_further for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
