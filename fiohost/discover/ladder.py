@@ -14,7 +14,7 @@ from fiohost.discover.search import Node, Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
-from fiohost.discover.whitened import drawing
+from fiohost.discover.whitened import drawing, noise_of
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
@@ -77,13 +77,15 @@ def searched(
 
 def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) -> Found:
     """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
-    where all that is left is what they are made of.
+    where all that is left is what they are made of. Their own data err by what they leave so.
     """
 
     def plain(stage: Stage) -> Stage:
-        fitted = fit(stage.fit.model, windows.plain, windows=True, near=stage.fit, tolerance=1e-6)
-        train = drawing(windows.train, found.noise) if found.noise else windows.train
-        return judged(fitted, windows.plain, train, rng)
+        fitted = fit(stage.fit.model, windows.plain, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+        if found.noise is None:
+            return judged(fitted, windows.plain, windows.train, rng)
+        noise = replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=found.noise.runs)
+        return judged(fitted, windows.plain, drawing(windows.train, noise), rng)
 
     stages, steps = list(found.stages), list(found.steps)
     if steps or not found.white:

@@ -136,7 +136,7 @@ class Windows(Objective):
     def plainly(self, state: State) -> Fit:
         if id(state) not in self._plainly:
             near = state.bare or state.fit
-            found = fit(near.model, self.plain, windows=True, near=near, max_iterations=20, tolerance=1e-4)
+            found = fit(near.model, self.plain, windows=True, starts=near.starts, max_iterations=20, tolerance=1e-4)
             self._plainly[id(state)] = state, found
         return self._plainly[id(state)][1]
 
@@ -152,4 +152,6 @@ class Windows(Objective):
 
     @staticmethod
     def _fitted(found: Fit, records: Sequence[Record]) -> Fit:
-        return fit(found.model, records, windows=True, near=found, max_iterations=12, tolerance=1e-5, zeros=False)
+        return fit(
+            found.model, records, windows=True, starts=found.starts, max_iterations=12, tolerance=1e-5, zeros=False
+        )

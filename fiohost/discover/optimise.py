@@ -58,7 +58,6 @@ def again(
         records,
         windows=found.windows,
         starts=_starts(found, model, records),
-        near=found,
         max_iterations=max_iterations,
         tolerance=tolerance,
         zeros=bool(other),  # an order that is new may have left the logs' own zeros open
@@ -74,7 +73,7 @@ def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fa
     """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
     ``lash`` is to be taken up anew.
     """
-    return unchanged(model, records, near=found, windows=found.windows, lash=lash, zeros=False).cost
+    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash, zeros=False).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
@@ -90,9 +89,7 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     starts = _starts(base, models[0], records)
 
     def some(model: Model, iterations: int) -> Fit:
-        return fit(
-            model, records, windows=base.windows, starts=starts, near=base, max_iterations=iterations, tolerance=1e-2
-        )
+        return fit(model, records, windows=base.windows, starts=starts, max_iterations=iterations, tolerance=1e-2)
 
     if not base.windows or len(models) == 1:
         return min((some(m, 5) for m in models), key=lambda f: f.cost)

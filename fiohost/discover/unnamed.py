@@ -88,4 +88,4 @@ def _with(base: Fit, name: str, records: Sequence[Record]) -> Fit:
         reach = max(float(r.y.max()) for r in records) - begin
         span = max(reach * POINTS_DRAWN / (POINTS_DRAWN - 1), 0.1)
     model = base.model.with_effect(name, {"from_deg": begin, "span_deg": span})
-    return fit(model, records, windows=True, near=base, max_iterations=12, tolerance=1e-5)
+    return fit(model, records, windows=True, starts=base.starts, max_iterations=12, tolerance=1e-5)

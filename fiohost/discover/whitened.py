@@ -176,7 +176,9 @@ def settle(
     """
     bare = plain(records)
     most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
-    fitted = plainly = fit(found.model, bare, windows=True, near=found, max_iterations=most, tolerance=tolerance)
+    fitted = plainly = fit(
+        found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance
+    )
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise = tuple(bare), NONE
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
@@ -191,7 +193,9 @@ def settle(
         whitened = with_noise(bare, fitted.model, noise, moves)
         if several:
             noise, whitened = with_runs(fitted, whitened, noise)
-        fitted = fit(fitted.model, whitened, windows=True, near=fitted, max_iterations=12, tolerance=1e-5, zeros=False)
+        fitted = fit(
+            fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
+        )
     return Settled(fitted, plainly, whitened, noise, moves)
 
 

@@ -37,8 +37,7 @@ class Fit:
     ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)): measured minus simulated, and the
     derivative of the simulation by each free parameter with the initial state projected out, both times the records'
     weights where whole runs are fitted. ``nuisances`` are the derivatives by the initial state, ``starts`` the records'
-    initial angles and speeds, ``samples`` the number of readings, weighted likewise. ``windows`` says what was fitted,
-    ``begins`` where the windows of each record begin.
+    initial angles and speeds, ``samples`` the number of readings, weighted likewise. ``windows`` says what was fitted.
     """
 
     model: Model
@@ -51,7 +50,6 @@ class Fit:
     converged: bool
     samples: float
     windows: bool = False
-    begins: tuple[Begun, ...] = field(default=(), repr=False)
 
     @property
     def rms(self) -> float:
@@ -62,9 +60,6 @@ class Fit:
         return [e / r.weights for e, r in zip(self.residuals, records, strict=True)]
 
 
-Errors = Callable[[Flat, Start], np.ndarray]
-
-
 @dataclass
 class _Point:
     """Parameter values and initial states at which the simulation stands; ``begins`` are the states in which each
@@ -73,7 +68,7 @@ class _Point:
 
     p: np.ndarray
     starts: list[Start]
-    begins: Sequence[Begun | None] = ()
+    begins: list[Begun] = field(default_factory=list)
 
 
 class _Problem:
@@ -100,13 +95,13 @@ class _Problem:
         pairs = zip(self.records, point.starts, strict=True)
         if not self.windows:
             return [errors(record, flat, start) for record, start in pairs]
-        near = point.begins or [None] * len(point.starts)
+        near: list[Begun | None] = [*point.begins] or [None] * len(point.starts)
         found = [windowed(record, flat, start, near=n) for (record, start), n in zip(pairs, near, strict=True)]
         point.begins = [begins for _, begins in found]
         return [residual for residual, _ in found]
 
     def columns(
-        self, point: _Point, start: Start, residual: np.ndarray, tangent: Tangent | None, errors_of: Errors
+        self, record: Record, start: Start, point: _Point, residual: np.ndarray, tangent: Tangent | None
     ) -> np.ndarray:
         """Derivative (n, parameters) of what is simulated, one finite difference each, turned inward at a bound."""
         values = point.p[self.slots]
@@ -120,7 +115,7 @@ class _Problem:
             if tangent is not None:
                 out[:, j] = tangent.by(self.flat(p), start, step)
             else:
-                out[:, j] = (residual - errors_of(self.flat(p), start)) / step
+                out[:, j] = (residual - errors(record, self.flat(p), start, self.windows)) / step
         return out
 
     def linearise(
@@ -130,16 +125,9 @@ class _Problem:
         flat = self.flat(point.p)
         jacobians, nuisances = [], []
         for i, (record, start, residual) in enumerate(zip(self.records, point.starts, residuals, strict=True)):
-            begun = point.begins[i] if self.windows else None
-            tangent = Tangent(record, flat, start, begun) if begun and not exactly else None
-
-            def errors_of(moved: Flat, begin: Start, r: Record = record, near: Begun | None = begun) -> np.ndarray:
-                return windowed(r, moved, begin, near=near)[0] if self.windows else errors(r, moved, begin)
-
-            # Of windows a difference is one only where both sides looked for their beginnings from the same place.
-            base = errors_of(flat, start) if self.windows and tangent is None else residual
-            jacobians.append(self.columns(point, start, base, tangent, errors_of))
-            nuisances.append(start_columns(record, flat, start, base, self.windows, tangent, errors_of))
+            tangent = Tangent(record, flat, start, point.begins[i]) if self.windows and not exactly else None
+            jacobians.append(self.columns(record, start, point, residual, tangent))
+            nuisances.append(start_columns(record, flat, start, residual, self.windows, tangent))
         return jacobians, nuisances
 
 
@@ -259,7 +247,6 @@ def fit(
     *,
     windows: bool = False,
     starts: Sequence[Start] | None = None,
-    near: Fit | None = None,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-7,
     lash: bool = True,
@@ -267,17 +254,15 @@ def fit(
 ) -> Fit:
     """Fit the free parameters of a model to records, from the values it has.
 
-    ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with, else those of a fit ``near``
-    or from the first second, and windows begin where those of that fit do; without ``lash`` the motor stays where in
-    its gap these have it, without ``zeros`` a log's own zero is near where they have it. Raises DataError without
-    records.
+    ``windows`` chooses the one-second cost; ``starts`` are initial states to begin with (else from the first second);
+    without ``lash`` the motor stays where in its gap these have it, without ``zeros`` a log's own zero is near where
+    they have it. Raises DataError without records.
     """
     if not records:
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
-    starts = near.starts if starts is None and near else starts
     given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts, zeros)
-    point = _Point(model.vector(), given, begins_of(near, records) if near and windows else ())
+    point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if lash and not windows else 0):
         point = solved[0]
@@ -297,14 +282,7 @@ def fit(
         converged=converged,
         samples=float(sum(_readings(r) if windows else r.weights @ r.weights for r in records)),
         windows=windows,
-        begins=tuple(b for b in point.begins if b is not None),
     )
-
-
-def begins_of(near: Fit, records: Sequence[Record]) -> list[Begun | None]:
-    """Where the windows of records begin by a fit to the same ones, or None: each has to be looked for."""
-    known: Sequence[Begun | None] = near.begins or [None] * len(records)
-    return [b if b is not None and b.serves(r) else None for b, r in zip(known, records, strict=True)]
 
 
 def _readings(record: Record) -> int:
@@ -370,11 +348,10 @@ def unchanged(
     records: Sequence[Record],
     *,
     starts: Sequence[Start] | None = None,
-    near: Fit | None = None,
     windows: bool = False,
     lash: bool = True,
     zeros: bool = True,
 ) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records, starts=starts, near=near, windows=windows, lash=lash, zeros=zeros)
+    return fit(frozen, records, starts=starts, windows=windows, lash=lash, zeros=zeros)

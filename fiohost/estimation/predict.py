@@ -194,10 +194,6 @@ class Begun:
     states: np.ndarray
     columns: np.ndarray
 
-    def serves(self, record: Record) -> bool:
-        """Whether these are the windows of a record that are looked at."""
-        return len(self.states) == len(record.looked_at()[0]) and self.columns.shape[1] == len(record)
-
 
 def windowed(
     record: Record, flat: Flat, start: Start, y: np.ndarray | None = None, near: Begun | None = None

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from fiohost.estimation.initial import best_lash, find_zero, has_own_zero, initial_state
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, errors, free_output
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.simulate import Start
@@ -22,24 +22,18 @@ WARMTH_STEP, WARMTH_REACH = 0.01, 0.3
 
 
 def start_columns(
-    record: Record,
-    flat: Flat,
-    start: Start,
-    residual: np.ndarray,
-    windows: bool,
-    tangent: Tangent | None,
-    errors_of: Callable[[Flat, Start], np.ndarray],
+    record: Record, flat: Flat, start: Start, residual: np.ndarray, windows: bool, tangent: Tangent | None
 ) -> np.ndarray:
     """Derivatives (n, 0..4) of what is simulated by the initial angle, speed, warmth and own zero, where these are
     free: ``windows``, along their ``tangent`` if there is one, leave but the last two, and a warmth at a bound that
-    the ``residual`` (n) pulls against stays there; ``errors_of`` a model and a start gives what is left (n).
+    the ``residual`` (n) pulls against stays there.
     """
     columns: list[np.ndarray] = []
 
     def by(moved: Start, step: float) -> np.ndarray:
         if tangent is not None:
             return tangent.by(flat, moved, step)
-        return np.asarray((residual - errors_of(flat, moved)) / step)
+        return np.asarray((residual - errors(record, flat, moved, windows)) / step)
 
     if record.kind == ANGLE and not windows:
         step = 1e-6 * 100.0 * abs(float(flat.p[GAIN]))
