@@ -187,7 +187,7 @@ def settle(
         noise = replace(NONE, runs=each_alone(pulls_of(fitted, bare, columns)))
     for turn in range(rounds):
         was, noise = noise, noise_of(fitted.model, fitted.starts, bare, noise.runs)
-        if turn > 0 and noise.near(was, WHITENING.settled):
+        if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break
         whitened = with_noise(bare, fitted.model, noise, moves)
