@@ -160,7 +160,8 @@ class Search:
             told = self.told
             first = self.simplest_first([*self.expand(rest), best])[0]
             self.told = told
-            if first is not best and (self.explains(first) or not self.explains(best)):
+            itself = first is best or first.added[-1].child.name == name
+            if not itself and (self.explains(first) or not self.explains(best)):
                 self.say(f"{first.added[-1].child.name} takes its place")
                 best = first
         return best
