@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.floor import replica
+from fiohost.discover.replica import replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.starts import free_spans
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -50,7 +51,19 @@ class Settled:
     @property
     def deviance(self) -> float:
         """-2 log restricted likelihood, but for a constant of the windows; comparable where ``moving`` is the same."""
-        return self.fit.cost + sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
+        weights = sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
+        return self.fit.cost + weights + freedom(self.fit, self.records)
+
+
+def freedom(found: Fit, records: Sequence[Record]) -> float:
+    """What it costs a fit in windows that each record's warmth and own zero are free: both integrated out (Laplace), as
+    what differs between runs is. Else a warmth of each run's own would stand for a gain that scatters.
+    """
+    flat, cost = Flat.of(found.model), 0.0
+    for record, columns in zip(records, found.nuisances, strict=True):
+        scaled = columns * free_spans(record, flat, columns.shape[1])
+        cost += float(np.linalg.slogdet(np.eye(columns.shape[1]) + scaled.T @ scaled)[1])
+    return cost
 
 
 def motor_of(record: Record, model: Model) -> Motor:

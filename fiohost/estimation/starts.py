@@ -74,6 +74,16 @@ def moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, win
     return start
 
 
+def free_spans(record: Record, flat: Flat, columns: int) -> np.ndarray:
+    """Standard deviations of what is free where windows begin (the last ``columns`` of ``start_columns``), were
+    nothing known of it: uniform over all that it may be, a warmth from 0 to 1, a zero over the turn.
+    """
+    spans = [1.0] if flat.warms else []
+    if has_own_zero(record, flat):
+        spans.append(360.0 / max(flat.orders()))
+    return np.asarray(spans[len(spans) - columns :], dtype=float) / np.sqrt(12.0)
+
+
 def first_starts(flat: Flat, records: Sequence[Record]) -> list[Start]:
     """How the records begin, each for itself."""
     return [initial_state(r, flat) for r in records]
