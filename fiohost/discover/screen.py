@@ -86,13 +86,13 @@ def _ends(record: Record) -> list[float]:
     found = []
     duty = record.acting_pct
     for side in (1.0, -1.0):
-        outward = side * record.y
-        there = outward >= outward.max() - 1.01 * record.quantum
+        outward = side * record.smooth
+        there = outward >= outward.max() - (1.01 * record.quantum + SCREEN.near_scatter * record.scatter)
         held = np.count_nonzero(there & (side * duty > SCREEN.driven_on_pct)) * record.sample_time_s >= SCREEN.held_s
         first = int(np.argmax(there))
         came = outward[first - 1] - outward[first - 3] >= SCREEN.abrupt_counts * record.quantum if first >= 3 else False
         if held or (came and there[first : first + SCREEN.stands].all()):
-            found.append(side * float(outward.max()) + 0.5 * record.quantum)
+            found.append(side * float(np.median(outward[there])) + 0.5 * record.quantum)
     return found
 
 

@@ -15,9 +15,11 @@ class ScreenSettings:
     best_trials: int = 4
     # What the sine and the cosine of one frequency gain by chance, as deviance, is exponential of this mean.
     line_chance: float = 2.0
-    # A shaft that stands for so long though driven on by more than friction may stand at an end of travel. So does one
-    # that comes with so many counts in two samples, and stands at once for so many samples.
+    # A shaft that stands for so long though driven on by more than friction may stand at an end of travel: readings are
+    # within so many times their fast noise. So does one that comes with so many counts in two samples, and stands at
+    # once for so many samples.
     driven_on_pct: float = 10.0
+    near_scatter: float = 2.0
     held_s: float = 0.15
     abrupt_counts: float = 4.0
     stands: int = 5

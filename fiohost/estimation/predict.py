@@ -129,10 +129,10 @@ def turned_deg(record: Record, flat: Flat) -> float:
     end = float(flat.p[STOP])
     if not flat.on[STOP_ON] or end == 0.0 or not record.rotary or record.kind != ANGLE:
         return 0.0
-    slack = END_SLACK_COUNTS * record.quantum
+    slack = END_SLACK_COUNTS * (record.quantum + record.scatter)
     if end > 0.0:
-        return 360.0 * float(np.floor((end + slack - record.y.max()) / 360.0))
-    return 360.0 * float(np.ceil((end - slack - record.y.min()) / 360.0))
+        return 360.0 * float(np.floor((end + slack - record.smooth.max()) / 360.0))
+    return 360.0 * float(np.ceil((end - slack - record.smooth.min()) / 360.0))
 
 
 def free_output(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:

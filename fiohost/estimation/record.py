@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from fiohost.errors import DataError
 from fiohost.estimation.stamps import doubtful_modes, known_segments, true_times
@@ -26,6 +28,10 @@ GOLDEN = 0.6180339887498949
 # Standstill of one reading counts for no more than so much motion.
 REST_COUNTS_S = 0.05
 BRAKE = 2
+# Running medians over so long take the fast noise off.
+SMOOTH_S = 0.05
+# The mean of a normal variable's absolute value.
+MEAN_OF_NORMAL = 0.7978845608
 # A linear axis is held in millimetres: what is sized for degrees (trials, bounds, steps of the library) then fits it.
 HELD_IN = {"m": "mm", "m/s": "mm/s"}
 
@@ -83,6 +89,20 @@ class Record:
     @property
     def seconds(self) -> float:
         return float(self.excitation.times_s[-1] - self.excitation.times_s[0])
+
+    @cached_property
+    def smooth(self) -> np.ndarray:
+        """Readings (n) without their fast noise: running medians, which leave an end of travel where it is."""
+        return np.asarray(
+            median_filter(self.y, size=2 * round(0.5 * SMOOTH_S / self.sample_time_s) + 1, mode="nearest")
+        )
+
+    @cached_property
+    def scatter(self) -> float:
+        """Rms of the readings' fast noise beyond their counts, about: what second differences say of it."""
+        bends = np.diff(self.y, 2)
+        variance = (float(np.mean(np.abs(bends))) / MEAN_OF_NORMAL) ** 2 / 6.0 if len(bends) else 0.0
+        return float(np.sqrt(max(variance - self.quantum**2 / 12.0, 0.0)))
 
     def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
         """The first sample of every window that is looked at, and that after its last: evenly spread, but not in step
