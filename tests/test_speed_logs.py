@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench_data import measure, multisine, truth_model
 
-from fiohost.discover.floor import replica
+from fiohost.discover.replica import replica
 from fiohost.discover.metrics import judge
 from fiohost.discover.missing_torque import dependences
 from fiohost.estimation.predict import Flat, free_output

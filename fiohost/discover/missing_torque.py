@@ -13,11 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.metrics import Judgement
-from fiohost.discover.settings import SETTINGS
+from fiohost.discover.metrics import Judgement, judge
+from fiohost.discover.replica import replica
+from fiohost.discover.settings import SETTINGS, SearchSettings
+from fiohost.discover.workers import each
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.compiled import compiled
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 
 TORQUE = SETTINGS.missing_torque
 
@@ -194,6 +197,41 @@ def _explained(torque: np.ndarray, bins: np.ndarray, weight: float) -> float:
     return float(np.sum(sums[count > 0] ** 2 / count[count > 0]) / weight) if weight > 0 else 0.0
 
 
+@dataclass(frozen=True)
+class _Torque:
+    """The missing torque (n) of all records, one after the other between ``edges``, and of each variable that it may
+    follow the values (n) and the bins (n) that they fall in.
+    """
+
+    torque: np.ndarray
+    edges: np.ndarray
+    values: dict[str, np.ndarray]
+    bins: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, records: Sequence[Record], model: Model, judgements: Sequence[Judgement]) -> _Torque:
+        pairs = list(zip(records, judgements, strict=True))
+        torques = [missing_torque(r, model, j.free_residual) for r, j in pairs]
+        variables = [_variables(r, j) for r, j in pairs]
+        edges = np.cumsum([0] + [len(t) for t in torques])
+        alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in pairs])
+        own_bins = np.repeat(TORQUE.bins * alone * np.diff(alone, prepend=0), np.diff(edges))
+        names = [n for n in ("angle", "speed", "speed_sign", "duty", "time") if all(n in v for v in variables)]
+        values = {n: np.concatenate([v[n] for v in variables]) for n in names}
+        bins = {n: _bins(v, n) + (own_bins if n == "angle" else 0) for n, v in values.items()}
+        return cls(np.concatenate(torques), edges, values, bins)
+
+    def share(self, name: str, torque: np.ndarray | None = None) -> float:
+        """The share of the torque's variance about zero, or of another's (n), that its mean in bins explains."""
+        torque = self.torque if torque is None else torque
+        return _explained(torque, self.bins[name], float(torque @ torque))
+
+    def shifted(self, rng: np.random.Generator) -> np.ndarray:
+        """The torque (n), that of each record at another time and with either sign."""
+        parts = np.split(self.torque, self.edges[1:-1])
+        return np.concatenate([np.roll(p, rng.integers(len(p))) * rng.choice((-1.0, 1.0)) for p in parts])
+
+
 def dependences(
     records: Sequence[Record], model: Model, judgements: Sequence[Judgement], rng: np.random.Generator
 ) -> list[Dependence]:
@@ -203,35 +241,47 @@ def dependences(
     level is the 99 % point of the same share after circular shifts in time, which keep the torque's colour. Every log
     whose zero of the angle is unknown has bins of the angle for itself; the curve is that of the bench's zero.
     """
-    parts = [
-        (missing_torque(r, model, j.free_residual), _variables(r, j)) for r, j in zip(records, judgements, strict=True)
-    ]
-    torque = np.concatenate([t for t, _ in parts])
-    weight = float(torque @ torque)
-    lengths = np.cumsum([0] + [len(t) for t, _ in parts])
-    alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in zip(records, judgements, strict=True)])
-    own_bins = np.repeat(TORQUE.bins * alone * np.diff(alone, prepend=0), np.diff(lengths))
-    found = []
-    for name in ("angle", "speed", "speed_sign", "duty", "time"):
-        if any(name not in v for _, v in parts):
-            continue
-        values = np.concatenate([v[name] for _, v in parts])
-        bins = _bins(values, name) + (own_bins if name == "angle" else 0)
-        r2 = _explained(torque, bins, weight)
-        chance = []
-        for _ in range(TORQUE.shifts):
-            shifted = np.concatenate(
-                [
-                    np.roll(torque[a:b], rng.integers(b - a)) * rng.choice((-1.0, 1.0))
-                    for a, b in zip(lengths[:-1], lengths[1:], strict=True)
-                ]
-            )
-            chance.append(_explained(shifted, bins, weight))
-        shown = range(min(bins.max() + 1, TORQUE.bins))
-        means = np.array([torque[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
-        centres = np.array([values[bins == i].mean() if np.any(bins == i) else np.nan for i in shown])
-        found.append(Dependence(name, r2, float(np.quantile(chance, 0.99)), centres, means))
+    found, missing = [], _Torque.of(records, model, judgements)
+    for name, bins in missing.bins.items():
+        chance = [missing.share(name, missing.shifted(rng)) for _ in range(TORQUE.shifts)]
+        inside = [bins == i for i in range(min(bins.max() + 1, TORQUE.bins))]
+        centres, means = (
+            np.array([x[there].mean() if there.any() else np.nan for there in inside])
+            for x in (missing.values[name], missing.torque)
+        )
+        found.append(Dependence(name, missing.share(name), float(np.quantile(chance, 0.99)), centres, means))
     return sorted(found, key=lambda d: d.r2 - d.chance_r2, reverse=True)
+
+
+def ruled(
+    records: Sequence[Record],
+    models: Sequence[Model],
+    starts: Sequence[Start],
+    rng: np.random.Generator,
+    settings: SearchSettings = SETTINGS,
+) -> bool:
+    """Whether the torque that ``models`` (one a record) lack follows angle, speed or duty: a share of it that matters,
+    and more than the 99 % point of bootstrap samples with the records' noise. A random torque follows nothing but
+    itself, in time.
+    """
+    each_one = list(zip(records, models, starts, strict=True))
+
+    def lacking(data: Sequence[np.ndarray | None]) -> _Torque:
+        found = [judge(r, m, y, near=s) for (r, m, s), y in zip(each_one, data, strict=True)]
+        return _Torque.of(records, models[0], found)
+
+    missing = lacking([None] * len(records))
+    shares = {n: missing.share(n) for n in missing.bins if n != "time" and missing.share(n) > settings.follows}
+    if not shares:
+        return False
+
+    def draw(rng: np.random.Generator) -> list[float]:
+        other = lacking([replica(r, m, s, rng) for r, m, s in each_one])
+        return [other.share(n) for n in shares]
+
+    drawn = np.array(each(draw, rng.spawn(settings.draws)))
+    chance = drawn.mean(axis=0) + settings.gumbel_sigmas * drawn.std(axis=0, ddof=1)
+    return bool(np.any(np.array(list(shares.values())) > chance))
 
 
 def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:

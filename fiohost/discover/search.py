@@ -9,14 +9,14 @@ another gives way by them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import core_lost
-from fiohost.discover.missing_torque import dependences
+from fiohost.discover.missing_torque import dependences, ruled
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
 from fiohost.discover.objective import Objective, State
@@ -35,10 +35,13 @@ from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found, Step, named_with
+from fiohost.discover.whitened import drawing
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record
 from fiohost.motor.model import Model
+from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
 
 
@@ -464,12 +467,15 @@ class Search:
         if state.noise is None or node.lacks or state.noise.torque_pct.value > self.most_torque_pct:
             return False
         null = draw_null(self.objective, state, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
-        stage = self.stage(node)
-        follows = dependences(self.objective.train, stage.fit.model, stage.judgements, self.rng)
-        # A random torque follows nothing but itself, in time.
-        ruled = any(d.significant and d.r2 > self.settings.follows and d.variable != "time" for d in follows)
         uneven = unevenness(state.fit.residuals, [r.windows for r in state.records])
-        return is_white(uneven, null.unevenness) and not ruled
+        return is_white(uneven, null.unevenness) and not self.ruled(node, state.noise)
+
+    def ruled(self, node: Node, noise: Noise) -> bool:
+        """Whether what a node lacks follows anything, each run with what is its own."""
+        stage, train = self.stage(node), self.objective.train
+        own = [varied(stage.fit.model, noise.runs.by_run.get(run_of(r.name), np.zeros(3))) for r in train]
+        records = drawing(train, replace(noise, runs=NO_SCATTER))
+        return ruled(records, own, [j.start for j in stage.judgements], self.rng, self.settings)
 
 
 def _doubted(found: Fit) -> bool:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.floor import disturbed
 from fiohost.discover.metrics import quantise
+from fiohost.discover.replica import disturbed
 from fiohost.estimation.predict import Flat, read
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model

@@ -1,0 +1,128 @@
+"""Replicas: what the sensor would have read had a fitted model been true, with the noise that a record has.
+
+A random torque is a duty while the bridge drives or brakes, and a load while it is open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from fiohost.discover.metrics import quantise
+from fiohost.discover.settings import SETTINGS
+from fiohost.estimation.predict import Flat, free_output, read, turned_deg
+from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
+from fiohost.motor.hooks import EFFECT_INDEX
+from fiohost.motor.model import Model, slot
+from fiohost.motor.simulate import Start, run, start_state
+from fiohost.motor.state import BRAKE, DRIVE, LOAD_THETA, STANDBY, STATE_SIZE, THETA
+from fiohost.noise.draw import draw_torque
+from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import LOAD_EFFECT, varied
+
+FLOOR = SETTINGS.floor
+LOADED, LOAD = EFFECT_INDEX[LOAD_EFFECT], slot(f"{LOAD_EFFECT}.level_pct")
+
+
+def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
+    """Bounds of how far the shaft may stand from the model's angle, from the residual (n) of its free run.
+
+    Every reading bounds it to one count, so a model that is true leaves little room (set membership): taken is where
+    the fewest readings contradict. Those of a closed loop hunt for an edge between two counts, which no angle drawn at
+    random would do. Where the model is too far off to say, any angle within the count is possible.
+    """
+    count = record.quantum
+    if float(np.ptp(residual)) > (1.0 + 2.0 * FLOOR.lost_counts) * count:
+        return -0.5 * count, 0.5 * count
+    above, below = np.sort(residual - 0.5 * count), np.sort(residual + 0.5 * count)
+    # Between two neighbouring bounds the number of readings that contradict does not change.
+    edges = np.unique(np.concatenate((above, below)))
+    middles = 0.5 * (edges[:-1] + edges[1:])
+    against = len(above) - np.searchsorted(above, middles) + np.searchsorted(below, middles)
+    best = int(np.argmin(against)) if len(middles) else 0
+    middle = float(middles[best]) if len(middles) else float(edges[0])
+    room = 0.5 * float(edges[best + 1] - edges[best]) if len(middles) else 0.0
+    return middle - room, middle + room
+
+
+def _shift(record: Record, residual: np.ndarray | None, rng: np.random.Generator) -> float:
+    """Where within its count the shaft stood, one draw; how well a fitted model knows it is drawn too."""
+    if residual is None:
+        return float(rng.uniform(-0.5, 0.5)) * record.quantum
+    low, high = within_count(record, residual)
+    least = record.quantum * float(np.exp(rng.uniform(*np.log(FLOOR.least_room_counts))))
+    return 0.5 * (low + high) + float(rng.uniform(-1.0, 1.0)) * max(0.5 * (high - low), least)
+
+
+def replica(
+    record: Record, model: Model, start: Start, rng: np.random.Generator, residual: np.ndarray | None = None
+) -> np.ndarray:
+    """One draw (n) of what the sensor would have read had the model been true.
+
+    The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
+    """
+    noise = record.disturbance.noise if record.disturbance else None
+    if noise and noise.runs.known:
+        model = varied(model, noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
+    shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
+    begin = start._replace(angle=start.angle + shift)
+    if noise and noise.torque_pct.value > 0.0:
+        truth = disturbed_output(disturbed(record, model, noise, rng), model, begin, noise, rng)
+    else:
+        truth = free_output(record, Flat.of(model), begin)
+    if noise and noise.sensor.value > 0.0:
+        truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
+    if record.kind == ANGLE:
+        return quantise(record, truth + 0.5 * record.quantum)
+    if record.kind == MEAN_SPEED:
+        truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
+    return quantise(record, truth)
+
+
+def disturbed(record: Record, model: Model, noise: Noise, rng: np.random.Generator) -> Record:
+    """The record with a random torque on its shaft while it is braked or driven: it adds to the duty that acts."""
+    ex = record.excitation
+    duties, modes = ex.duties_pct.copy(), ex.modes.copy()
+    braked = (modes == BRAKE) if "fast_decay" not in model.effects else np.zeros(len(modes), dtype=bool)
+    duties[braked], modes[braked] = 0.0, DRIVE
+    driven = modes == DRIVE
+    torque = draw_torque(np.append(ex.act_times_s[0] - record.sample_time_s, ex.act_times_s), noise, rng)
+    duties[driven] += torque[driven]
+    return replace(record, excitation=replace(ex, duties_pct=duties, modes=modes))
+
+
+def disturbed_output(record: Record, model: Model, start: Start, noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    """The output (n) of a free run, with a random torque as a load wherever the bridge is open, held from each sample
+    to the next.
+    """
+    ex, flat = record.excitation, Flat.of(model).from_zero(start.zero)
+    coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
+    if not coasts.any():
+        return free_output(record, flat, start)
+    torque = draw_torque(ex.times_s, noise, rng)
+    turned = turned_deg(record, flat)
+    state = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
+    states = np.empty((len(record), STATE_SIZE))
+    p, on = flat.p.copy(), flat.on.copy()
+    on[LOADED] = True
+    load = float(p[LOAD]) if flat.on[LOADED] else 0.0
+    last = len(record) - 1
+    begins = np.flatnonzero(np.r_[True, coasts[1:] | coasts[:-1]])
+    for first, after in pairwise([*begins[begins < last].tolist(), last]):
+        if coasts[first]:
+            p[LOAD] = load - torque[first]
+        found = run(
+            ex,
+            p if coasts[first] else flat.p,
+            on if coasts[first] else flat.on,
+            flat.substep_s,
+            state,
+            first,
+            after + 1,
+        )
+        states[first : after + 1] = found
+        state = found[-1]
+    states[:, [THETA, LOAD_THETA]] -= turned
+    return read(record, flat, states)
