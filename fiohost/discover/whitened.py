@@ -193,13 +193,13 @@ def settle(
         found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance
     )
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
-    whitened, noise = tuple(bare), NONE
+    whitened, noise, runs = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
-    if several:  # else what differs between runs would be taken for a slow torque
-        columns = [run_columns(r, fitted.model, s) for r, s in zip(bare, fitted.starts, strict=True)]
-        noise = replace(NONE, runs=each_alone(pulls_of(fitted, bare, columns)))
     for turn in range(rounds):
-        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, noise.runs)
+        if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
+            columns = [run_columns(r, fitted.model, s) for r, s in zip(bare, fitted.starts, strict=True)]
+            runs = each_alone(pulls_of(fitted, bare, columns))
+        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, runs)
         if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break

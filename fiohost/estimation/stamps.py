@@ -18,7 +18,7 @@ class StampSettings:
     same_across_s: float = 0.1
     # A direction bit that differs in one row from so many before and after it, all alike, contradicts them; controllers
     # that really change for one tick do so again and again.
-    alike_rows: int = 50
+    alike_rows: int = 20
     # Stamps that scatter less than this share of a tick are as good as regular.
     regular_share: float = 0.02
     # Stamps are judged where the shaft moves by the smallest step of the readings in a tick or more, in so many rows at
