@@ -50,8 +50,10 @@ def core_lost(found: Fit, scattered: Sequence[Model] = (), settings: DegenerateS
     return None
 
 
-def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTINGS) -> str | None:
-    """Why a fit with effects added is not believed, or None."""
+def degenerate(before: Stage, after: Stage, taken: float = 0.0, settings: DegenerateSettings = SETTINGS) -> str | None:
+    """Why a fit with effects added is not believed, or None; of the squared error of windows as they are it has
+    ``taken`` a share: whole runs that differ from each other need not come closer to their mean.
+    """
     if lost := core_lost(after.fit, after.scattered_models, settings):
         return lost
     was, now = pool([j.errors for j in before.judgements]), pool([j.errors for j in after.judgements])
@@ -60,7 +62,8 @@ def degenerate(before: Stage, after: Stage, settings: DegenerateSettings = SETTI
         return None
     if floor.window_rms > settings.floor_above * now.window_rms and floor.free_run_rms > now.free_run_rms:
         return f"with it the model's own data err by {floor.window_rms:.3g}, these by {now.window_rms:.3g} only"
-    if min(now.window_rms / was.window_rms, now.free_run_rms / was.free_run_rms) >= settings.as_it_was:
+    closest = min(now.window_rms / was.window_rms, now.free_run_rms / was.free_run_rms)
+    if closest >= settings.as_it_was and taken <= 0.0:
         return "with it the error is no lower than before"
     return None
 
@@ -100,7 +103,7 @@ def believed(found: Found, hidden: Mapping[str, str]) -> Found:
     leaves something with an effect that the logs cannot show; ``hidden`` says why they cannot.
     """
     while found.steps:
-        why = degenerate(found.stages[0], found.final)
+        why = degenerate(found.stages[0], found.final, found.taken)
         unseen = [hidden[s.effect] for s in found.steps if s.effect in hidden]
         if why is None and unseen and not found.final.follows:
             why = f"these logs cannot show it: {unseen[0]}"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.replica import replica
+from fiohost.discover.replica import other_runs, replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
@@ -94,7 +94,7 @@ def replica_errors(
         known = fitted.errors(records)
     return [
         errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
-        for r, s, e in zip(records, fitted.starts, known, strict=True)
+        for r, s, e in zip(other_runs(records, rng), fitted.starts, known, strict=True)
     ]
 
 

@@ -15,7 +15,7 @@ from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
 from fiohost.discover.whitened import drawing, noise_of
-from fiohost.estimation.fit import fit
+from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
@@ -80,8 +80,11 @@ def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) ->
     where all that is left is what they are made of. Their own data err by what they leave so.
     """
 
+    def plainly(stage: Stage) -> Fit:
+        return fit(stage.fit.model, windows.plain, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+
     def plain(stage: Stage) -> Stage:
-        fitted = fit(stage.fit.model, windows.plain, windows=True, starts=stage.fit.starts, tolerance=1e-6)
+        fitted = plainly(stage)
         if found.noise is None:
             return judged(fitted, windows.plain, windows.train, rng)
         noise = replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=found.noise.runs)
@@ -93,7 +96,9 @@ def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) ->
     if steps and not found.white:
         steps = [replace(s, stage=plain(s.stage)) for s in steps]
         stages[-1] = steps[-1].stage
-    return replace(found, stages=tuple(stages), steps=tuple(steps))
+    left = stages[-1].fit if steps and not found.white else plainly(stages[-1])
+    taken = 1.0 - left.cost / stages[0].fit.cost if steps and stages[0].fit.cost > 0.0 else 0.0
+    return replace(found, stages=tuple(stages), steps=tuple(steps), taken=taken)
 
 
 def noisy_sensor(records: Sequence[Record]) -> bool:

@@ -5,6 +5,7 @@ A random torque is a duty while the bridge drives or brakes, and a load while it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -20,7 +21,7 @@ from fiohost.motor.simulate import Start, run, start_state
 from fiohost.motor.state import BRAKE, DRIVE, LOAD_THETA, STANDBY, STATE_SIZE, THETA
 from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
-from fiohost.noise.runs import LOAD_EFFECT, varied
+from fiohost.noise.runs import LOAD_EFFECT, run_of, varied
 
 FLOOR = SETTINGS.floor
 LOADED, LOAD = EFFECT_INDEX[LOAD_EFFECT], slot(f"{LOAD_EFFECT}.level_pct")
@@ -63,9 +64,9 @@ def replica(
 
     The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
     """
-    noise = record.disturbance.noise if record.disturbance else None
+    noise, own = (record.disturbance.noise, record.disturbance.own) if record.disturbance else (None, None)
     if noise and noise.runs.known:
-        model = varied(model, noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
+        model = varied(model, own.values if own else drawn_run(noise, rng))
     shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
     begin = start._replace(angle=start.angle + shift)
     if noise and noise.torque_pct.value > 0.0:
@@ -79,6 +80,26 @@ def replica(
     if record.kind == MEAN_SPEED:
         truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
     return quantise(record, truth)
+
+
+def drawn_run(noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    """What is a run's own (3), one draw."""
+    return np.asarray(noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
+
+
+def other_runs(records: Sequence[Record], rng: np.random.Generator) -> list[Record]:
+    """The records of other runs: what is each run's own is drawn anew."""
+    drawn: dict[str, np.ndarray] = {}
+    found = []
+    for record in records:
+        disturbance = record.disturbance
+        if disturbance is not None and disturbance.own is not None:
+            name = run_of(record.name)
+            drawn.setdefault(name, drawn_run(disturbance.noise, rng))
+            own = replace(disturbance.own, values=drawn[name])
+            record = replace(record, disturbance=replace(disturbance, own=own))
+        found.append(record)
+    return found
 
 
 def disturbed(record: Record, model: Model, noise: Noise, rng: np.random.Generator) -> Record:

@@ -26,7 +26,18 @@ from fiohost.motor.state import STANDBY
 from fiohost.noise.covariance import COASTS, DRIVEN, REST
 from fiohost.noise.disturbance import Disturbance
 from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, grouped, pieces
-from fiohost.noise.runs import NO_SCATTER, Pull, RunToRun, each_alone, estimate_runs, run_of, shrinking, varied
+from fiohost.noise.runs import (
+    NO_PULL,
+    NO_SCATTER,
+    Own,
+    Pull,
+    RunToRun,
+    each_alone,
+    estimate_runs,
+    likeliest,
+    run_of,
+    varied,
+)
 from fiohost.noise.settings import SETTINGS as NOISE_SETTINGS
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 
@@ -116,38 +127,48 @@ def run_columns(record: Record, model: Model, start: Start) -> np.ndarray:
     return np.column_stack([tangent.by(Flat.of(varied(model, s)), start, float(s.sum())) for s in steps])
 
 
-def pulls_of(found: Fit, records: Sequence[Record], columns: Sequence[np.ndarray]) -> dict[str, Pull]:
-    """How what a fit leaves in (whitened) windows pulls at what may differ between runs, by run."""
-    pulls: dict[str, Pull] = {}
-    flat = Flat.of(found.model)
-    for record, start, by in zip(records, found.starts, columns, strict=True):
-        left = windowed(record, flat, start)[0]
-        pull, name = Pull(by.T @ by, by.T @ left), run_of(record.name)
-        pulls[name] = pulls[name] + pull if name in pulls else pull
-    return pulls
+def around_runs(
+    found: Fit, records: Sequence[Record], runs: RunToRun = NO_SCATTER
+) -> tuple[list[np.ndarray], dict[str, Pull]]:
+    """Around what is each of the ``runs``' own: derivatives (n, 3) by it of each record's (whitened) windows, and how
+    what a fit leaves there pulls at it, by run.
+    """
+    flat, columns, pulls = Flat.of(found.model), list[np.ndarray](), dict[str, Pull]()
+    for record, start in zip(records, found.starts, strict=True):
+        name, disturbance = run_of(record.name), record.disturbance or Disturbance(NONE)
+        values = runs.by_run.get(name, np.zeros(3))
+        near = replace(record, disturbance=replace(disturbance, own=Own.alone(values, len(record))))
+        by = run_columns(near, found.model, start)
+        left = windowed(near, flat, start)[0] + by @ values
+        columns.append(by)
+        pulls[name] = pulls.get(name, NO_PULL) + Pull(by.T @ by, by.T @ left)
+    return columns, pulls
 
 
-def with_runs(found: Fit, records: Sequence[Record], noise: Noise) -> tuple[Noise, tuple[Record, ...]]:
-    """The noise with what differs from run to run, and the whitened records weighed by it too."""
-    columns = [run_columns(r, found.model, s) for r, s in zip(records, found.starts, strict=True)]
-    noise = replace(noise, runs=estimate_runs(pulls_of(found, records, columns)))
-    if not noise.runs.known:
-        return noise, tuple(records)
-    return noise, with_scatter(found, records, noise, columns)
+def with_runs(found: Fit, records: Sequence[Record], noise: Noise, near: RunToRun) -> tuple[Noise, tuple[Record, ...]]:
+    """The noise with what differs from run to run, and the whitened records weighed by it too; the model is taken for
+    linear ``near`` what it was found to be before.
+    """
+    columns, pulls = around_runs(found, records, near)
+    noise = replace(noise, runs=estimate_runs(pulls))
+    return noise, weighed(records, noise, columns) if noise.runs.known else tuple(records)
 
 
-def with_scatter(
-    found: Fit, records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarray] | None = None
-) -> tuple[Record, ...]:
-    """Whitened records weighed by what differs between runs too, around a fit."""
-    if columns is None:
-        columns = [run_columns(r, found.model, s) for r, s in zip(records, found.starts, strict=True)]
-    weighed = []
+def with_scatter(found: Fit, records: Sequence[Record], noise: Noise) -> tuple[Record, ...]:
+    """Whitened records weighed by what differs between runs too, which scatters as the ``noise`` says."""
+    columns, pulls = around_runs(found, records, noise.runs)
+    own = {name: likeliest(pull, noise.runs.sd) for name, pull in pulls.items()}
+    return weighed(records, replace(noise, runs=replace(noise.runs, by_run=own)), columns)
+
+
+def weighed(records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarray]) -> tuple[Record, ...]:
+    """Whitened records with what is their run's own, by their ``columns`` (n, 3 each)."""
+    found = []
     for record, by in zip(records, columns, strict=True):
         assert record.disturbance is not None
-        own = shrinking(by, noise.runs.sd)
-        weighed.append(replace(record, disturbance=replace(record.disturbance, noise=noise, own=own)))
-    return tuple(weighed)
+        own = Own.of(noise.runs.by_run[run_of(record.name)], by, noise.runs.sd)
+        found.append(replace(record, disturbance=replace(record.disturbance, noise=noise, own=own)))
+    return tuple(found)
 
 
 def movement(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> tuple[np.ndarray, ...]:
@@ -193,19 +214,18 @@ def settle(
         found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance
     )
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
-    whitened, noise, runs = tuple(bare), NONE, NO_SCATTER
+    whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
     for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
-            columns = [run_columns(r, fitted.model, s) for r, s in zip(bare, fitted.starts, strict=True)]
-            runs = each_alone(pulls_of(fitted, bare, columns))
-        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, runs)
+            alone = each_alone(around_runs(fitted, bare)[1])
+        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, alone)
         if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break
         whitened = with_noise(bare, fitted.model, noise, moves)
         if several:
-            noise, whitened = with_runs(fitted, whitened, noise)
+            noise, whitened = with_runs(fitted, whitened, noise, was.runs)
         fitted = fit(
             fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
         )

@@ -25,6 +25,7 @@ from fiohost.motor.state import (
     THETA,
     WORK_SIZE,
 )
+from fiohost.noise.runs import shifted
 
 # What keeps more in mind than angle and speed.
 REMEMBERING = [i for i, item in enumerate(effects().values()) if item.remembers]
@@ -101,6 +102,16 @@ class Flat:
         for (phase, _, _), turns in zip(self.phases, self._turns(), strict=True):
             p[phase] += turns * turn
         return replace(self, p=p, zero=zero or 0.0)
+
+
+def of_run(record: Record, flat: Flat, start: Start) -> Flat:
+    """The model for a record's zero, with what is its run's own."""
+    flat = flat.from_zero(start.zero)
+    own = record.disturbance.own if record.disturbance else None
+    if own is None or not own.values.any():
+        return flat
+    p, on = shifted(flat.p, flat.on, own.values)
+    return replace(flat, p=p, on=on)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
@@ -199,20 +210,24 @@ def windowed(
     record: Record, flat: Flat, start: Start, y: np.ndarray | None = None, near: Begun | None = None
 ) -> tuple[np.ndarray, Begun]:
     """``in_windows`` of the free run from a start, whitened where the record's noise is known."""
-    flat = flat.from_zero(start.zero)
+    flat = of_run(record, flat, start)
     if near is None:
         residuals, begun = in_windows(record, flat, free_states(record, flat, start), y)
-        return whitened(record, residuals), begun
+        return _as_fitted(record, residuals), begun
     bases = near.states
     if flat.remembers:  # what it keeps in mind beside angle and speed is that of the free run
         states = free_states(record, flat, start)[record.looked_at()[0]]
         bases = moved(states, bases[:, THETA], bases[:, OMEGA])
     residuals, begun = _from_bases(record, flat, bases, y, near.columns)
-    return whitened(record, residuals), begun
+    return _as_fitted(record, residuals), begun
+
+
+def _as_fitted(record: Record, residuals: np.ndarray) -> np.ndarray:
+    return record.disturbance.residuals(residuals) if record.disturbance else residuals
 
 
 def whitened(record: Record, series: np.ndarray) -> np.ndarray:
-    """A series (n) over a record's windows as a fit sees it: whitened where the record's noise is known."""
+    """Derivatives (n) over a record's windows as a fit sees them: whitened where the record's noise is known."""
     return record.disturbance.whitened(series) if record.disturbance else series
 
 

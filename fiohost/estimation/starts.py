@@ -81,7 +81,7 @@ def free_spans(record: Record, flat: Flat, columns: int) -> np.ndarray:
     spans = [1.0] if flat.warms else []
     if has_own_zero(record, flat):
         spans.append(360.0 / max(flat.orders()))
-    return np.asarray(spans[len(spans) - columns :], dtype=float) / np.sqrt(12.0)
+    return np.asarray(np.array(spans[len(spans) - columns :]) / np.sqrt(12.0))
 
 
 def first_starts(flat: Flat, records: Sequence[Record]) -> list[Start]:

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Begun, Flat, free_states, moved, speed_step, turned_deg, whitened
+from fiohost.estimation.predict import Begun, Flat, free_states, moved, of_run, speed_step, turned_deg, whitened
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -26,7 +26,7 @@ class Tangent:
 
     def __init__(self, record: Record, flat: Flat, start: Start, begun: Begun) -> None:
         self.record = record
-        self.flat = flat.from_zero(start.zero)
+        self.flat = of_run(record, flat, start)
         self.begins = begun.states
         self.firsts, self.lasts = record.looked_at()
         self.window = np.full(len(record), len(self.firsts))  # of each sample; the last is that of none
@@ -37,7 +37,7 @@ class Tangent:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
         speed is from a free run.
         """
-        flat = flat.from_zero(start.zero)
+        flat = of_run(self.record, flat, start)
         begins = self.begins
         if flat.remembers:
             states = free_states(self.record, flat, start)[self.firsts]

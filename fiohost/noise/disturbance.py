@@ -7,34 +7,33 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import Own
 from fiohost.noise.whiten import Whitener
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Noise as estimated, and the whitener of a record's windows by it; None: bootstrap samples only. ``own`` are the
-    directions (n, k) in which runs differ and how much (k) of each is taken out, with the logarithm of the determinant.
+    """Noise as estimated, the whitener of a record's windows by it (None: bootstrap samples only), and what is its
+    run's ``own``.
     """
 
     noise: Noise
     whitener: Whitener | None = field(default=None, repr=False)
-    own: tuple[np.ndarray, np.ndarray, float] | None = field(default=None, repr=False)
+    own: Own | None = field(default=None, repr=False)
 
     def whitened(self, series: np.ndarray) -> np.ndarray:
         """A series (n) or several (n, k) over the record's windows, whitened."""
         if self.whitener is None:
             return series
         white = self.whitener.apply(series)
-        if self.own is None:
-            return white
-        along, taken, _ = self.own
-        return np.asarray(
-            white - along @ (taken[:, None] * (along.T @ white))
-            if white.ndim > 1
-            else white - along @ (taken * (along.T @ white))
-        )
+        return white if self.own is None else self.own.weighed(white)
+
+    def residuals(self, series: np.ndarray) -> np.ndarray:
+        """What the model with a run's own values leaves (n), whitened, as the runs' mean would leave it."""
+        white = self.whitened(series)
+        return white if self.own is None else white + self.own.back()
 
     @property
     def log_determinant(self) -> float:
         whitener = self.whitener.log_determinant if self.whitener else 0.0
-        return whitener + (self.own[2] if self.own else 0.0)
+        return whitener + (self.own.log_determinant if self.own else 0.0)

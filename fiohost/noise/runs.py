@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fiohost.motor.model import Model
+from fiohost.motor.hooks import EFFECT_INDEX
+from fiohost.motor.model import Model, slot
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 GAIN, FRICTION, LOAD = 0, 1, 2
@@ -21,6 +22,9 @@ FRICTIONS = (
     "asymmetric_coulomb_friction.forward_pct",
     "asymmetric_coulomb_friction.reverse_pct",
 )
+
+_GAIN, _LOAD = slot("linear.gain_deg_s_per_pct"), slot(f"{LOAD_EFFECT}.level_pct")
+_FRICTIONS = [slot(name) for name in FRICTIONS]
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,9 @@ class Pull:
 
     def __add__(self, other: Pull) -> Pull:
         return Pull(self.information + other.information, self.score + other.score)
+
+
+NO_PULL = Pull(np.zeros((3, 3)), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,16 @@ def varied(model: Model, own: np.ndarray) -> Model:
         changed = changed.with_effect(LOAD_EFFECT, {"level_pct": 0.0})
     bounds = changed.parameter(key)
     return changed.with_values({key: float(np.clip(changed.number(key) + own[LOAD], bounds.lower, bounds.upper))})
+
+
+def shifted(p: np.ndarray, on: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parameter array and switches of the kernel, as ``varied`` has them of a model."""
+    p, on = p.copy(), on.copy()
+    p[_GAIN] *= 1.0 + own[GAIN]
+    p[_FRICTIONS] *= max(1.0 + own[FRICTION], 0.0)
+    p[_LOAD] += own[LOAD]
+    on[EFFECT_INDEX[LOAD_EFFECT]] = True
+    return p, on
 
 
 def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
@@ -126,11 +143,13 @@ def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) ->
         deviances = profile(k)
         inside = grids[k][deviances <= deviances.min() + settings.interval_deviance]
         ci95[k] = inside[0], inside[-1]
-    own = {}
-    for name, pull in pulls.items():
-        inner = np.eye(3) + sd[:, None] * pull.information * sd
-        own[name] = sd * np.linalg.solve(inner, sd * pull.score)
-    return RunToRun(sd, ci95, own)
+    return RunToRun(sd, ci95, {name: likeliest(pull, sd) for name, pull in pulls.items()})
+
+
+def likeliest(pull: Pull, sd: np.ndarray) -> np.ndarray:
+    """What is a run's own (3), most likely: the best linear prediction by scatters ``sd`` (3)."""
+    inner = np.eye(3) + sd[:, None] * pull.information * sd
+    return np.asarray(sd * np.linalg.solve(inner, sd * pull.score))
 
 
 def each_alone(pulls: dict[str, Pull]) -> RunToRun:
@@ -144,9 +163,36 @@ def each_alone(pulls: dict[str, Pull]) -> RunToRun:
     return RunToRun(np.zeros(3), np.zeros((3, 2)), own)
 
 
-def shrinking(columns: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """What whitens a run's series for its random effects: directions (n, k), how much (k) of each is taken out, and the
-    logarithm of the covariance's determinant; ``columns`` (n, 3) are whitened derivatives by the effects.
+@dataclass(frozen=True)
+class Own:
+    """What is a run's own in the windows of one of its records: ``values`` (3), whitened derivatives by them
+    (``columns``, n by 3), and what weighs for how they scatter: directions (n, k), how much (k) of each is taken out,
+    and the logarithm of the covariance's determinant.
+
+    The model is linear in them around their most likely values (Lindstrom and Bates 1990).
     """
-    left, sizes, _ = np.linalg.svd(columns * sd, full_matrices=False)
-    return left, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2), float(np.log1p(sizes**2).sum())
+
+    values: np.ndarray
+    columns: np.ndarray = field(repr=False)
+    along: np.ndarray = field(repr=False)
+    taken: np.ndarray = field(repr=False)
+    log_determinant: float
+
+    @classmethod
+    def of(cls, values: np.ndarray, columns: np.ndarray, sd: np.ndarray) -> Own:
+        left, sizes, _ = np.linalg.svd(columns * sd, full_matrices=False)
+        return cls(values, columns, left, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2), float(np.log1p(sizes**2).sum()))
+
+    @classmethod
+    def alone(cls, values: np.ndarray, samples: int) -> Own:
+        """Values as they are, of a scatter that is not known."""
+        return cls(values, np.zeros((samples, 3)), np.empty((samples, 0)), np.empty(0), 0.0)
+
+    def weighed(self, white: np.ndarray) -> np.ndarray:
+        """A whitened series (n) or several (n, k), weighed."""
+        taken = self.taken if white.ndim == 1 else self.taken[:, None]
+        return np.asarray(white - self.along @ (taken * (self.along.T @ white)))
+
+    def back(self) -> np.ndarray:
+        """What a run's own values changed (n), weighed: with it residuals are those of the runs' mean."""
+        return self.weighed(self.columns @ self.values)
