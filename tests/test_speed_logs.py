@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bench_data import measure, multisine, truth_model
 
-from fiohost.discover.replica import replica
 from fiohost.discover.metrics import judge
 from fiohost.discover.missing_torque import dependences
+from fiohost.discover.replica import replica
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, Record, make_record
 from fiohost.motor.model import Model
