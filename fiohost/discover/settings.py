@@ -174,7 +174,7 @@ class WhitenSettings:
 
     # Noise and model settle on each other in so many rounds at most; they have where the next round would change the
     # noise by less than this share of its interval.
-    rounds: int = 3
+    rounds: int = 4
     settled: float = 0.1
     # A speed below this share of the top speed is a digit of rounding.
     stands: float = 1e-6

@@ -32,6 +32,7 @@ from fiohost.noise.runs import (
     Own,
     Pull,
     RunToRun,
+    centred,
     each_alone,
     estimate_runs,
     likeliest,
@@ -145,13 +146,19 @@ def around_runs(
     return columns, pulls
 
 
-def with_runs(found: Fit, records: Sequence[Record], noise: Noise, near: RunToRun) -> tuple[Noise, tuple[Record, ...]]:
-    """The noise with what differs from run to run, and the whitened records weighed by it too; the model is taken for
-    linear ``near`` what it was found to be before.
+def with_runs(
+    found: Fit, records: Sequence[Record], noise: Noise, near: RunToRun
+) -> tuple[Model, Noise, tuple[Record, ...]]:
+    """The noise with what differs from run to run, the whitened records weighed by it too, and the model of the runs'
+    mean; it is taken for linear ``near`` what was found to be each run's own before.
     """
     columns, pulls = around_runs(found, records, near)
-    noise = replace(noise, runs=estimate_runs(pulls))
-    return noise, weighed(records, noise, columns) if noise.runs.known else tuple(records)
+    runs = estimate_runs(pulls)
+    if not runs.known:
+        return found.model, replace(noise, runs=runs), tuple(records)
+    runs, mean = centred(runs, pulls)
+    noise = replace(noise, runs=runs)
+    return varied(found.model, mean), noise, weighed(records, noise, [by * (1.0 + mean) for by in columns])
 
 
 def with_scatter(found: Fit, records: Sequence[Record], noise: Noise) -> tuple[Record, ...]:
@@ -218,16 +225,16 @@ def settle(
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
     for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
-            alone = each_alone(around_runs(fitted, bare)[1])
+            alone = each_alone(around_runs(fitted, bare, alone)[1])
         was, noise = noise, noise_of(fitted.model, fitted.starts, bare, alone)
         if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break
-        whitened = with_noise(bare, fitted.model, noise, moves)
+        whitened, model = with_noise(bare, fitted.model, noise, moves), fitted.model
         if several:
-            noise, whitened = with_runs(fitted, whitened, noise, was.runs)
+            model, noise, whitened = with_runs(fitted, whitened, noise, was.runs)
         fitted = fit(
-            fitted.model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
+            model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
         )
     return Settled(fitted, plainly, whitened, noise, moves)
 

@@ -7,7 +7,7 @@ run: how what is left pulls at each of them, and how well it knows them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -152,15 +152,28 @@ def likeliest(pull: Pull, sd: np.ndarray) -> np.ndarray:
     return np.asarray(sd * np.linalg.solve(inner, sd * pull.score))
 
 
-def each_alone(pulls: dict[str, Pull]) -> RunToRun:
+def each_alone(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
     """What differs between runs as each says alone, nothing shrunk: so the rest of the noise is free of it."""
-    own = {}
+    most, own = [high for _, high in settings.run_spans], {}
     for name, pull in pulls.items():
         scale = np.sqrt(np.maximum(np.diag(pull.information), 1e-300))
-        own[name] = (
-            np.linalg.lstsq(pull.information / np.outer(scale, scale), pull.score / scale, rcond=1e-6)[0] / scale
-        )
+        found = np.linalg.lstsq(pull.information / np.outer(scale, scale), pull.score / scale, rcond=1e-6)[0] / scale
+        own[name] = np.clip(found, np.negative(most), most)
     return RunToRun(np.zeros(3), np.zeros((3, 2)), own)
+
+
+def centred(runs: RunToRun, pulls: dict[str, Pull]) -> tuple[RunToRun, np.ndarray]:
+    """What differs between runs about a mean of its own (3), which is the model's: of gain and dry friction, each run
+    weighing by what it says of them. A fit would hardly move along it: only how runs scatter speaks for it.
+    """
+    mean = np.zeros(3)
+    for k in (GAIN, FRICTION):
+        known = np.array([pulls[name].information[k, k] for name in runs.by_run])
+        weights = known / (1.0 + runs.sd[k] ** 2 * known)
+        values = np.array([own[k] for own in runs.by_run.values()])
+        mean[k] = float(weights @ values) / max(float(weights.sum()), 1e-300)
+    own = {name: (values - mean) / (1.0 + mean) for name, values in runs.by_run.items()}
+    return replace(runs, by_run=own), mean
 
 
 @dataclass(frozen=True)
