@@ -141,3 +141,29 @@ def test_an_analogue_sensor_has_no_step() -> None:
     rng = np.random.default_rng(5)
     assert found_quantum(np.cumsum(rng.standard_normal(4000))) == 0.0
     assert found_quantum(np.round(rng.standard_normal(4000), 3) * np.pi + rng.choice((0.0, 0.0011), 4000)) == 0.0
+
+
+def test_the_step_is_found_where_a_speed_takes_few_values() -> None:
+    rng = np.random.default_rng(6)
+    read = np.round(6.428571 * rng.integers(13, 34, 4000), 4)
+    assert found_quantum(read) == pytest.approx(6.428571, rel=1e-4)
+
+
+def test_a_few_values_of_a_list_are_no_counts() -> None:
+    rng = np.random.default_rng(7)
+    assert found_quantum(rng.choice(rng.uniform(0.0, 100.0, 12), 4000)) == 0.0
+
+
+@pytest.mark.parametrize("kind", [covariance.ANGLE, covariance.SPEED, covariance.MEAN_SPEED])
+def test_a_sensor_with_neither_counts_nor_noise_has_a_torque_to_be_found(kind: int) -> None:
+    rng = np.random.default_rng(8)
+    motor = Motor(10.0, 0.08, kind, 0.0, 4.0 * STEP_S)
+    window = round(1.0 / motor.step_s)
+    times, moving = np.arange(window) * motor.step_s, np.ones(window, dtype=bool)
+    acts = covariance.response(times, moving, motor.gain, motor.tau_s, kind)
+    known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(1.0, 0.0, 0.0), Ranged(0.2, 0.0, 0.0))
+    torque = draw_torque(np.arange(window * WINDOWS) * motor.step_s, known, rng).reshape(WINDOWS, window)
+    left, speed = (torque @ acts.T).ravel(), np.full(window * WINDOWS, 300.0)
+    found = estimate(grouped(pieces(left, speed, np.arange(0, len(left) + 1, window), motor), motor))
+    assert found.torque_pct.value == pytest.approx(1.0, rel=0.15)
+    assert found.sensor.value < 0.1 * float(np.std(left))

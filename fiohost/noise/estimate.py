@@ -55,6 +55,8 @@ class Noise:
 
 # Directions in which a torque moves the output by less than this share of its largest variance do not count.
 LEAST_DIRECTION = 1e-9
+# No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
+LEAST_VARIANCE = 1e-12
 
 NONE = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0))
 
@@ -157,9 +159,10 @@ def _group_deviances(
     (n, count), motor = group.residuals.shape, group.motor
     basis, torque = _torque_part(n, _rounded(motor.tau_s, settings), motor.kind, motor.step_s, time_s)
     left, torque = basis.T @ group.residuals, torque * motor.gain**2
+    least = LEAST_VARIANCE * float(np.mean(group.residuals**2)) + 1e-300
     if motor.kind != covariance.MEAN_SPEED:
         squares = np.sum(left**2, axis=1)
-        own = sensors**2 + motor.quantum**2 / 12.0 + 1e-300
+        own = sensors**2 + motor.quantum**2 / 12.0 + least
         variance = own[:, None, None] + torques[None, :, None] ** 2 * torque
         return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=2))
     # Counts of a mean speed are not white: in the directions in which they are apart from each other, a torque, which
@@ -168,7 +171,7 @@ def _group_deviances(
     seen = np.flatnonzero(torque > LEAST_DIRECTION * torque.max())
     acts, left = apart[seen].T * np.sqrt(torque[seen]), apart.T @ left
     own = spread * motor.quantum**2 + sensors[:, None] ** 2
-    own += 1e-12 * own.max(axis=1, keepdims=True) + 1e-300
+    own += 1e-12 * own.max(axis=1, keepdims=True) + least
     weighed = acts.T[None] / own[:, None, :]  # (sensors, directions, m)
     sizes, along = np.linalg.eigh(weighed @ acts)
     pulls = np.sum((np.swapaxes(along, 1, 2) @ weighed @ left) ** 2, axis=2)

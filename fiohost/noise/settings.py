@@ -51,7 +51,7 @@ class NoiseSettings:
     # A step of the readings is one where 99 % of their differences are multiples of it to this share of it (by chance a
     # fifth would be so near), over so many differences.
     on_step: float = 0.1
-    least_steps: int = 30
+    least_steps: int = 8
 
 
 SETTINGS = NoiseSettings()
