@@ -19,6 +19,7 @@ from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
+from fiohost.noise.estimate import Noise
 
 # Windows have a stream of draws of their own, so that no other draw depends on whether they are needed.
 NOISE_SEED = 1
@@ -78,27 +79,38 @@ def searched(
 def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) -> Found:
     """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
     where all that is left is what they are made of. Their own data err by what they leave so.
+
+    Where runs differ, windows as they are would have one model for all of them: there weights are kept.
     """
+    noise, steps = found.noise, list(found.steps)
+    differ = noise is not None and noise.runs.known
 
     def plainly(stage: Stage) -> Fit:
         return fit(stage.fit.model, windows.plain, windows=True, starts=stage.fit.starts, tolerance=1e-6)
 
     def plain(stage: Stage) -> Stage:
         fitted = plainly(stage)
-        if found.noise is None:
-            return judged(fitted, windows.plain, windows.train, rng)
-        noise = replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=found.noise.runs)
-        return judged(fitted, windows.plain, drawing(windows.train, noise), rng)
+        train = windows.train if noise is None else drawing(windows.train, _left_by(fitted, windows, noise))
+        return judged(fitted, windows.plain, train, rng)
 
-    stages, steps = list(found.stages), list(found.steps)
+    taken = 0.0
+    if steps:
+        before, after = plainly(found.stages[0]), plainly(found.final)
+        taken = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
+    if differ:
+        return replace(found, taken=taken)
+    stages = list(found.stages)
     if steps or not found.white:
         stages[0] = plain(stages[0])
     if steps and not found.white:
         steps = [replace(s, stage=plain(s.stage)) for s in steps]
         stages[-1] = steps[-1].stage
-    left = stages[-1].fit if steps and not found.white else plainly(stages[-1])
-    taken = 1.0 - left.cost / stages[0].fit.cost if steps and stages[0].fit.cost > 0.0 else 0.0
     return replace(found, stages=tuple(stages), steps=tuple(steps), taken=taken)
+
+
+def _left_by(fitted: Fit, windows: Windows, noise: Noise) -> Noise:
+    """The noise that a fit to windows as they are leaves, runs differing as they were found to."""
+    return replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=noise.runs)
 
 
 def noisy_sensor(records: Sequence[Record]) -> bool:

@@ -82,6 +82,11 @@ class Node:
     def names(self) -> frozenset[str]:
         return frozenset(a.child.name for a in self.added)
 
+    @property
+    def simplicity(self) -> tuple[int, int, float]:
+        """How many parameters, how rare what was added is, and the price."""
+        return len(self.state.fit.names), sum(a.child.commonness[1] for a in self.added), self.state.price
+
 
 @dataclass(eq=False)
 class Added:
@@ -170,13 +175,11 @@ class Search:
         return best
 
     def simplest_first(self, nodes: Sequence[Node]) -> list[Node]:
-        """Nodes by price, the simplest of those that are as good as the best first."""
+        """Nodes by price, the simplest and then the commonest of those that are as good as the best first."""
         if not nodes:
             return []
         tie = min(n.state.deviance for n in nodes) + self.tie(nodes[0].state)
-        first = min(
-            (n for n in nodes if n.state.deviance <= tie), key=lambda n: (len(n.state.fit.names), n.state.price)
-        )
+        first = min((n for n in nodes if n.state.deviance <= tie), key=lambda n: n.simplicity)
         return [first, *sorted((n for n in nodes if n is not first), key=lambda n: n.state.price)]
 
     def tie(self, state: State) -> float:
