@@ -12,14 +12,16 @@ from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.replica import disturbed_output
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import span_of
-from fiohost.discover.whitened import freedom
+from fiohost.discover.whitened import around_runs, freedom
 from fiohost.estimation.fit import fit
-from fiohost.estimation.predict import Flat, free_output, turned_deg
+from fiohost.estimation.predict import Flat, free_output, turned_deg, windowed
 from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, Start, free_run
 from fiohost.motor.state import STANDBY
+from fiohost.noise.disturbance import Disturbance
 from fiohost.noise.estimate import NONE, Noise
+from fiohost.noise.runs import Own, RunToRun
 
 GAIN_SD, FRICTION_SD, LOAD_SD_PCT = 0.01, 0.10, 1.0
 STOPPED = truth_model(("coulomb_friction", "hard_stop"), {"hard_stop.angle_deg": 700.0})
@@ -52,6 +54,25 @@ def test_how_runs_differ_is_neither_an_effect_nor_noise(nothing: Diagnosis) -> N
     assert "constant_load.level_pct" in told["run_to_run"]
     # Offsets that are left over would be taken for a torque of some tenths of a percent that wanders slowly.
     assert told["noise"]["torque_rms_pct"]["value"] < 0.1
+
+
+def test_what_is_a_run_s_own_adds_to_what_it_was_taken_for() -> None:
+    """Half a friction more and 1 % of the mean's is 1.51 of it, not 1.515."""
+    stairs = np.repeat((20.0, 60.0, 35.0), 500)
+    records = [measure(truth_model(), stairs, np.random.default_rng(3), name="run 0")]
+    found = fit(truth_model(), records, windows=True, max_iterations=3)
+    flat = Flat.of(found.model)
+    near, more = np.array([0.01, 0.5, 0.2]), np.array([0.0, 0.01, 0.0])
+
+    def left(own: np.ndarray) -> np.ndarray:
+        disturbance = Disturbance(NONE, own=Own.alone(own, len(records[0])))
+        return windowed(replace(records[0], disturbance=disturbance), flat, found.starts[0])[0]
+
+    runs = RunToRun(np.zeros(3), np.zeros((3, 2)), {"run 0": near})
+    columns, _ = around_runs(found, records, runs)
+    changed = left(near) - left(near + more)
+    assert np.linalg.norm(changed) > 1.0
+    assert np.linalg.norm(columns[0] @ more - changed) < 0.05 * np.linalg.norm(changed)
 
 
 def test_what_is_missing_is_named_beside_how_runs_differ() -> None:

@@ -1,7 +1,9 @@
-"""The null: what the best of the library gains by chance, and how white residuals of a true model are.
+"""The null: what each of the library gains by chance, and how white residuals of a true model are.
 
 Parametric bootstrap (Efron 1979): data of the model as it stands, with the noise that is left, through the same sensor,
-windows and scores. The level is the 99 % point of the best of the whole library.
+windows and scores. An effect with many phases gains more by chance than one with a single size, so each has a level of
+its own: cube roots of what it gains are about normal (Wilson and Hilferty 1931), and the 99 % point is that of the
+largest of the whole library, in standard deviations.
 """
 
 from __future__ import annotations
@@ -20,12 +22,17 @@ from fiohost.noise.whiten import unevenness
 
 @dataclass(frozen=True)
 class Null:
-    """What bootstrap samples of a state reach: the ``level`` of deviance that the best of the library gains, and how
-    uneven their residuals are.
+    """What bootstrap samples of a state reach: the deviance that the best of the library gains (``level``), what each
+    effect gains that leaves a trace (``levels``), and how uneven their residuals are.
     """
 
     level: float
+    levels: dict[str, float]
     unevenness: tuple[float, ...]
+
+    def of(self, name: str) -> float:
+        """The level of an effect; that of the whole library where it leaves no trace in a screen."""
+        return self.levels.get(name, self.level)
 
 
 def draw_null(
@@ -38,6 +45,7 @@ def draw_null(
 ) -> Null:
     """The null of a state, around which ``scores`` were taken in a ``screen``."""
     directions = [d for s in scores for d in s.directions]
+    owner = np.array([i for i, s in enumerate(scores) for _ in s.directions], dtype=int)
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
     basis = np.concatenate(columns, axis=1)
     ends = np.cumsum([d.basis.shape[1] for d in directions])
@@ -45,16 +53,35 @@ def draw_null(
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in state.records]))
 
-    def draw(rng: np.random.Generator) -> tuple[float, float]:
+    def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
         errors = objective.draw(state, rng)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
-        most = max((float(powers(p, d.weights)[0]) for p, d in parts), default=0.0)
+        found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
+        own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])
         variance = 1.0 if objective.windows else float(np.mean(np.concatenate(errors) ** 2))
-        return block * most / max(variance, 1e-300), unevenness(errors, edges) if objective.windows else 0.0
+        return block * own / max(variance, 1e-300), unevenness(errors, edges) if objective.windows else 0.0
 
     drawn = each(draw, rng.spawn(settings.draws))
-    best = np.array([gain for gain, _ in drawn])
+    gains = np.array([gain for gain, _ in drawn])  # (draws, effects)
+    best = gains.max(axis=1, initial=0.0)
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
-    level = max(level, screen.by_lines)
-    return Null(level, tuple(uneven for _, uneven in drawn))
+    levels = dict(zip([s.effect.name for s in scores], levels_of(gains, settings).tolist(), strict=True))
+    for effect in (s.effect for s in scores if s.effect.couples and not s.effect.angle_bound):
+        levels[effect.name] = max(levels[effect.name], screen.by_lines)
+    seen = {name: own for name, own in levels.items() if own > 0.0}
+    return Null(max(level, screen.by_lines), seen, tuple(uneven for _, uneven in drawn))
+
+
+def levels_of(gains: np.ndarray, settings: SearchSettings) -> np.ndarray:
+    """What each effect gains by chance (effects) at the 99 % point of the whole library, from what bootstrap samples
+    gain (draws, effects).
+    """
+    roots = np.cbrt(gains)
+    mean, spread = roots.mean(axis=0), roots.std(axis=0, ddof=1)
+    traces = spread > 0.0
+    if not traces.any():
+        return np.zeros(gains.shape[1])
+    best = ((roots - mean)[:, traces] / spread[traces]).max(axis=1)
+    top = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
+    return np.where(traces, (mean + top * spread) ** 3, 0.0)

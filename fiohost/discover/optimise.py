@@ -86,10 +86,9 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
         trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[: OPTIMISER.raw_starts]]
     models = [base.model.with_effect(score.effect.name, t) for t in trials]
-    starts = _starts(base, models[0], records)
 
     def some(model: Model, iterations: int) -> Fit:
-        return fit(model, records, windows=base.windows, starts=starts, max_iterations=iterations, tolerance=1e-2)
+        return again(base, model, records, iterations, 1e-2)
 
     if not base.windows or len(models) == 1:
         return min((some(m, 5) for m in models), key=lambda f: f.cost)

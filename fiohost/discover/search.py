@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
+from typing import TypeVar
 
 import numpy as np
 
@@ -63,8 +64,14 @@ class Child:
         return 1.0 - float(np.exp(-max(self.gain, 0.0) / max(self.state.fit.samples, 1.0)))
 
     @property
-    def commonness(self) -> tuple[int, int]:
-        return len(self.score.effect.parameters), self.score.effect.commonness
+    def price(self) -> float:
+        """That of its state, and on how rare the effect is."""
+        return self.state.price + SETTINGS.rare * self.score.effect.commonness
+
+    @property
+    def simplicity(self) -> tuple[int, int, float]:
+        """How many parameters, how rare, and the price."""
+        return len(self.score.effect.parameters), self.score.effect.commonness, self.price
 
 
 @dataclass(eq=False)
@@ -83,15 +90,24 @@ class Node:
         return frozenset(a.child.name for a in self.added)
 
     @property
+    def rarity(self) -> int:
+        return sum(a.child.score.effect.commonness for a in self.added)
+
+    @property
+    def price(self) -> float:
+        """That of its state, and on how rare what was added is."""
+        return self.state.price + SETTINGS.rare * self.rarity
+
+    @property
     def simplicity(self) -> tuple[int, int, float]:
         """How many parameters, how rare what was added is, and the price."""
-        return len(self.state.fit.names), sum(a.child.commonness[1] for a in self.added), self.state.price
+        return len(self.state.fit.names), self.rarity, self.price
 
 
 @dataclass(eq=False)
 class Added:
     """An effect that a search added to the node ``before``, with the ``accepted`` candidates beside it, the ``level``
-    that chance reached, and the node ``after`` it.
+    that chance reached with it, and the node ``after`` it.
     """
 
     by: Search
@@ -100,6 +116,9 @@ class Added:
     accepted: Sequence[Child]
     level: float
     after: Node | None = None
+
+
+Ranked = TypeVar("Ranked", Node, Child)
 
 
 class Search:
@@ -146,8 +165,8 @@ class Search:
                         grown[child.names] = child
                 if not grown and (not self.objective.windows or self.white(node)):
                     break  # beside the best one nothing is missing
-            beam = self.simplest_first(list(grown.values()))[: self.settings.beam]
-            if not beam or (best is not root and beam[0].state.price >= best.state.price):
+            beam = self.best_first(list(grown.values()))[: self.settings.beam]
+            if not beam or (best is not root and beam[0].price >= best.price):
                 break
             best = next((n for n in beam if self.explains(n)), beam[0])
         return self.exchanged(best)
@@ -166,7 +185,7 @@ class Search:
             less = self.objective.settled(again(fitted, fitted.model.without([name]), best.state.records))
             rest = Node(less, tuple(a for a in best.added if a is not earlier))
             told = self.told
-            first = self.simplest_first([*self.expand(rest), best])[0]
+            first = self.best_first([*self.expand(rest), best])[0]
             self.told = told
             itself = first is best or first.added[-1].child.name == name
             if not itself and (self.explains(first) or not self.explains(best)):
@@ -174,20 +193,18 @@ class Search:
                 best = first
         return best
 
-    def simplest_first(self, nodes: Sequence[Node]) -> list[Node]:
-        """Nodes by price, the simplest and then the commonest of those that are as good as the best first."""
-        if not nodes:
-            return []
-        tie = min(n.state.deviance for n in nodes) + self.tie(nodes[0].state)
-        first = min((n for n in nodes if n.state.deviance <= tie), key=lambda n: n.simplicity)
-        return [first, *sorted((n for n in nodes if n is not first), key=lambda n: n.state.price)]
-
-    def tie(self, state: State) -> float:
-        """Deviances this close are as good."""
-        s = self.settings
-        if self.objective.windows:
-            return s.equal_deviance
-        return max(s.equal_deviance, state.fit.samples * float(np.log(s.as_good)))
+    def best_first(self, items: Sequence[Ranked]) -> list[Ranked]:
+        """Nodes or children by price; of whole runs, whose counts do not average out, the simplest, then the commonest
+        of those that are as good as the best comes first.
+        """
+        order: list[Ranked] = sorted(items, key=lambda i: i.price)
+        if not order or self.objective.windows:
+            return order
+        least = min(i.state.deviance for i in order)
+        tie = least + order[0].state.fit.samples * float(np.log(self.settings.as_good))
+        equal = [i for i in order if i.state.deviance <= tie]
+        order.insert(0, order.pop(order.index(min(equal, key=lambda i: i.simplicity))))
+        return order
 
     def explains(self, node: Node) -> bool:
         """Whether whole runs follow the data, or what is left does not matter to the user; of noise only the null says
@@ -220,14 +237,14 @@ class Search:
         drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
         whys = each(lambda c: self.objection(node, c, drawn), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
-        beyond = [c for c in children if c.gain > self.settings.margin * drawn.level]
+        beyond = [c for c in children if c.gain > self.settings.margin * drawn.of(c.name)]
         node.lacks = not accepted and any(self.taken(node, c) >= self.settings.least_further for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        return [self.grown(node, c, accepted, drawn.level) for c in accepted[: self.settings.beam]]
+        return [self.grown(node, c, accepted, drawn.of(c.name)) for c in accepted[: self.settings.beam]]
 
     def children(self, node: Node, screens: Sequence[Screen], ranked: Sequence[Sequence[Score]]) -> list[Child]:
         """The best candidates, each at its minimum, the least price first."""
@@ -289,7 +306,7 @@ class Search:
 
         done = each(settled, [i for ways in kept.values() for i in apart(list(ways.values()))])
         best = {name: min((c for c in done if c.name == name), key=lambda c: c.state.deviance) for name in kept}
-        return sorted(best.values(), key=lambda c: c.state.price)
+        return sorted(best.values(), key=lambda c: c.price)
 
     def _rough(self, score: Score, base: Fit, records: Sequence[Record]) -> Fit:
         found = rough_fit(base, score, records)
@@ -305,8 +322,8 @@ class Search:
         finished = left <= s.finished
         if whole and of.once and not finished:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
-        if child.gain < s.margin * null.level and not finished:
-            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.level:.0f}"
+        if child.gain < s.margin * null.of(name) and not finished:
+            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.of(name):.0f}"
         if not self.material(node, child):
             return f"removes {100 * max(self.taken(node, child), 0.0):.0f} % of what windows leave"
         if not whole and self.plainly(node, child):
@@ -367,19 +384,12 @@ class Search:
         return self._blocks[child.name][1]
 
     def in_order(self, accepted: Sequence[Child]) -> list[Child]:
-        """Candidates with the least price first; among those as good, the simplest, then the commonest."""
-        if not accepted:
-            return []
+        """Candidates, the best first; those of whole runs that are near it are carried to their minimum before."""
         if not self.objective.windows and len(accepted) > 1:
             least = min(c.state.fit.cost for c in accepted)
             near = [c for c in accepted if c.state.fit.cost <= 1.1 * least]
             accepted = [self._polished(c) if c in near else c for c in accepted]
-        least = min(c.state.deviance for c in accepted)
-        tie = self.tie(accepted[0].state)
-        equal = [c for c in accepted if c.state.deviance <= least + tie]
-        first = min(equal, key=lambda c: c.commonness)
-        rest = sorted((c for c in accepted if c is not first), key=lambda c: c.state.price)
-        return [first, *rest]
+        return self.best_first(accepted)
 
     def _polished(self, child: Child) -> Child:
         better = polish(child.state.fit, child.state.records, self.rng)
@@ -402,7 +412,7 @@ class Search:
     def grown(self, node: Node, child: Child, accepted: Sequence[Child], level: float) -> Node:
         """A node with a candidate added, its fit finished, what it no longer needs dropped."""
         self.say(f"adding {child.name}")
-        state, dropped = self.needed(self.finished(child.state), node.names, level)
+        state, dropped = self.needed(self.finished(child.state), node)
         added = Added(self, child, node, accepted, level)
         added.after = Node(state, (*(a for a in node.added if a.child.name not in dropped), added))
         return added.after
@@ -425,12 +435,12 @@ class Search:
             return state
         return self.objective.settled(better)
 
-    def needed(self, state: State, names: frozenset[str], level: float) -> tuple[State, list[str]]:
-        """A state without those of some effects that the deviance does not ask for any more, and which."""
-        dropped = []
-        for name in [e for e in state.fit.model.effects if e in names]:
+    def needed(self, state: State, node: Node) -> tuple[State, list[str]]:
+        """A state without those of a node's effects that the deviance does not ask for any more, and which."""
+        levels, dropped = {a.child.name: a.level for a in node.added}, []
+        for name in [e for e in state.fit.model.effects if e in levels]:
             less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records))
-            if less.deviance - state.deviance < max(self.settings.margin * level, self.settings.equal_deviance):
+            if less.deviance - state.deviance < max(self.settings.margin * levels[name], self.settings.equal_deviance):
                 self.say(f"{name} is no longer needed")
                 state = less
                 dropped.append(name)

@@ -35,6 +35,7 @@ from fiohost.noise.runs import (
     centred,
     each_alone,
     estimate_runs,
+    growth,
     likeliest,
     run_of,
     varied,
@@ -139,7 +140,7 @@ def around_runs(
         name, disturbance = run_of(record.name), record.disturbance or Disturbance(NONE)
         values = runs.by_run.get(name, np.zeros(3))
         near = replace(record, disturbance=replace(disturbance, own=Own.alone(values, len(record))))
-        by = run_columns(near, found.model, start)
+        by = run_columns(near, found.model, start) / growth(values)
         left = windowed(near, flat, start)[0] + by @ values
         columns.append(by)
         pulls[name] = pulls.get(name, NO_PULL) + Pull(by.T @ by, by.T @ left)
@@ -218,7 +219,7 @@ def settle(
     bare = plain(records)
     most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
     fitted = plainly = fit(
-        found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance
+        found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance, zeros=False
     )
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise, alone = tuple(bare), NONE, NO_SCATTER

@@ -17,6 +17,8 @@ from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 GAIN, FRICTION, LOAD = 0, 1, 2
 LOAD_EFFECT = "constant_load"
+# Friction or gain of which next to nothing is left in a run has no derivative there.
+LEAST_GROWTH = 0.05
 FRICTIONS = (
     "coulomb_friction.level_pct",
     "asymmetric_coulomb_friction.forward_pct",
@@ -85,6 +87,13 @@ def varied(model: Model, own: np.ndarray) -> Model:
     return changed.with_values({key: float(np.clip(changed.number(key) + own[LOAD], bounds.lower, bounds.upper))})
 
 
+def growth(own: np.ndarray) -> np.ndarray:
+    """By how much a run's own values (3) multiply a derivative (3) by further ones: those of gain and dry friction are
+    shares of the mean, so that they add while the model multiplies.
+    """
+    return np.maximum(np.array([1.0 + own[GAIN], 1.0 + own[FRICTION], 1.0]), LEAST_GROWTH)
+
+
 def shifted(p: np.ndarray, on: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameter array and switches of the kernel, as ``varied`` has them of a model."""
     p, on = p.copy(), on.copy()
@@ -122,14 +131,17 @@ def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) ->
         return NO_SCATTER
     parts = list(pulls.values())
     grids = [np.concatenate(([0.0], np.geomspace(low, high, settings.run_looks))) for low, high in settings.run_spans]
-    sd = np.zeros(3)
+    # What moves runs alike can stand for each other, so that one after the other may end beside the best of all three.
+    few = [grid[:: settings.run_coarse] for grid in grids]
+    looks = np.stack(np.meshgrid(*few, indexing="ij"), axis=-1).reshape(-1, 3)
+    sd = looks[int(np.argmin(_deviances(parts, looks)))]
 
     def profile(k: int) -> np.ndarray:
         return _deviances(parts, np.where(np.arange(3) == k, grids[k][:, None], sd))
 
     for _ in range(settings.run_sweeps):
         for k in range(3):
-            sd[k] = grids[k][int(np.argmin(profile(k)))]
+            sd = np.where(np.arange(3) == k, grids[k][int(np.argmin(profile(k)))], sd)
     order = np.argsort(_deviances(parts, np.where(np.eye(3) > 0.0, 0.0, sd)))
     for k in order.tolist():
         less = np.where(np.arange(3) == k, 0.0, sd)
