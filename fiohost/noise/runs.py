@@ -91,7 +91,7 @@ def growth(own: np.ndarray) -> np.ndarray:
     """By how much a run's own values (3) multiply a derivative (3) by further ones: those of gain and dry friction are
     shares of the mean, so that they add while the model multiplies.
     """
-    return np.maximum(np.array([1.0 + own[GAIN], 1.0 + own[FRICTION], 1.0]), LEAST_GROWTH)
+    return np.asarray(np.maximum((1.0 + own[GAIN], 1.0 + own[FRICTION], 1.0), LEAST_GROWTH))
 
 
 def shifted(p: np.ndarray, on: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
