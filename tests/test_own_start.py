@@ -79,3 +79,23 @@ def test_a_model_counted_from_another_zero_is_the_same_bench() -> None:
     here = free_output(bare, Flat.of(from_zero(model, 75.0)), Start(0.0, 0.0))
     # The reading of an eccentric disc begins where the shaft stands, not where the reading says.
     assert here - here[0] == pytest.approx(there - there[0], abs=1e-6)
+
+
+def test_where_a_run_counts_from_is_found_with_its_own_gain() -> None:
+    """At a wrong speed angles drift by more within a window than the error of the shaft's angle swings."""
+    swings = {"level_1_deg": 0.5, "phase_1_deg": -160.0, "level_2_deg": 0.08, "phase_2_deg": -70.0}
+    swings |= {"level_3_deg": 0.04, "phase_3_deg": -50.0}
+    model = FITTED.with_effect("shaft_angle_error", swings)
+    errors = []
+    for seed, duty_pct in enumerate((25.0, 45.0, 75.0, 95.0)):
+        own = from_zero(model.with_values({"linear.gain_deg_s_per_pct": 10.0 * 1.015}), 70.0 * seed)
+        n = round(24.0 / STEP_S)
+        times, duty = np.arange(n) * STEP_S, np.full(n, duty_pct)
+        bare = make_record("held", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
+        y = free_output(bare, Flat.of(own), Start(0.0, 0.0))
+        counted = np.floor(y / 0.5) * 0.5 + 0.25
+        record = make_record("held", times, duty, counted, quantum=0.5, at_rest=True, own_zero=True)
+        (found,) = own_starts([record], model, 0.3)
+        assert found is not None
+        errors.append(found.own.errors.window_rms)
+    assert max(errors) < 1.15 * 0.5 / np.sqrt(12.0)

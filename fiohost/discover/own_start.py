@@ -142,21 +142,21 @@ def _most_likely(
     windows = max(len(record.windows) - 1, 1)
     variance = window_rms**2 * max(len(record) / (windows * settings.readings_a_window), 1.0)
     lower, upper = np.array([(model.parameter(k).lower, model.parameter(k).upper) for k in keys]).T
-    here, starts, best = start, None, (np.inf, start)
+    here, starts, best = start, None, (np.inf, start, 0.0)
     for _ in range(settings.rounds):
         at = own.with_values(dict(zip(keys, here.tolist(), strict=True)))
         seen = fit(at, [record], windows=True, starts=starts, max_iterations=1, tolerance=ENDLESS)
-        starts = seen.starts
         cost = seen.cost / variance + float(precision @ (here - start) ** 2)
         if cost >= best[0]:
             break
-        best = (cost, here)
+        best = (cost, here, seen.starts[0].zero or 0.0)
+        starts = [s._replace(zero=None) for s in seen.starts]  # a wrong speed drifts by more than the turn swings
         columns = seen.jacobians[0][:, [seen.names.index(key) for key in keys]]
         pull = columns.T @ seen.residuals[0] / variance - precision * (here - start)
         step = np.linalg.solve(columns.T @ columns / variance + np.diag(precision), pull)
         here = np.clip(here + step, lower, upper)
     found = own.with_values(dict(zip(keys, best[1].tolist(), strict=True)))
-    zero = starts[0].zero if starts and has_own_zero(record, Flat.of(found)) else None
+    zero = best[2] if has_own_zero(record, Flat.of(found)) else None
     return replace(found, fixed=model.fixed), zero
 
 

@@ -237,7 +237,7 @@ class Search:
         drawn = draw_null(self.objective, null, screen, scores, self.rng, self.settings)
         whys = each(lambda c: self.objection(node, c, drawn), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
-        beyond = [c for c in children if c.gain > self.settings.margin * drawn.of(c.name)]
+        beyond = [c for c in children if c.gain > self.asked(c, drawn)]
         node.lacks = not accepted and any(self.taken(node, c) >= self.settings.least_further for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
@@ -322,7 +322,7 @@ class Search:
         finished = left <= s.finished
         if whole and of.once and not finished:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
-        if child.gain < s.margin * null.of(name) and not finished:
+        if child.gain < self.asked(child, null) and not finished:
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.of(name):.0f}"
         if not self.material(node, child):
             return f"removes {100 * max(self.taken(node, child), 0.0):.0f} % of what windows leave"
@@ -349,6 +349,14 @@ class Search:
         if not of.shown and gain.total <= 2.0 * gain.most:
             return "is carried by one stretch of 2 s"
         return None
+
+    def asked(self, child: Child, null: Null) -> float:
+        """The deviance that a candidate has to gain."""
+        return self.margin * null.of(child.name)
+
+    @property
+    def margin(self) -> float:
+        return self.settings.margin_in_windows if self.objective.windows else self.settings.margin
 
     def taken(self, node: Node, child: Child) -> float:
         """The share of the squared error of windows as they are that a candidate takes."""
@@ -440,7 +448,7 @@ class Search:
         levels, dropped = {a.child.name: a.level for a in node.added}, []
         for name in [e for e in state.fit.model.effects if e in levels]:
             less = self.objective.settled(again(state.fit, state.fit.model.without([name]), state.records))
-            if less.deviance - state.deviance < max(self.settings.margin * levels[name], self.settings.equal_deviance):
+            if less.deviance - state.deviance < max(self.margin * levels[name], self.settings.equal_deviance):
                 self.say(f"{name} is no longer needed")
                 state = less
                 dropped.append(name)
