@@ -4,7 +4,7 @@
     python benchmarks/discovery.py --out results.jsonl --minutes 30       as much of it as that
     python benchmarks/discovery.py --out some.jsonl --effects duty_steps,gain_warm_up --none 20   of some effects
     python benchmarks/discovery.py --out results.jsonl --again backlash,fast_decay    rows with these in them once more
-    python benchmarks/discovery.py --smoke                                 48 fixed cases on short runs, for the gate
+    python benchmarks/discovery.py --smoke                                 49 fixed cases on short runs, for the gate
     python benchmarks/discovery.py --table results.jsonl [--page FILE]     rates, or the page
 
 Seeds are fresh from the system unless ``--seed`` is given, and recorded. The truth comes from ``firmware_model``
