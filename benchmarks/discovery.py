@@ -3,7 +3,8 @@
     python benchmarks/discovery.py --out results.jsonl                 the whole plan, hours; resumes where it stopped
     python benchmarks/discovery.py --out results.jsonl --minutes 30       as much of it as that
     python benchmarks/discovery.py --out some.jsonl --effects duty_steps,gain_warm_up --none 20   of some effects
-    python benchmarks/discovery.py --smoke                                 48 fixed cases on short runs, for the gate
+    python benchmarks/discovery.py --out results.jsonl --again backlash,fast_decay    rows with these in them once more
+    python benchmarks/discovery.py --smoke                                 49 fixed cases on short runs, for the gate
     python benchmarks/discovery.py --table results.jsonl [--page FILE]     rates, or the page
 
 Seeds are fresh from the system unless ``--seed`` is given, and recorded. The truth comes from ``firmware_model``
@@ -107,6 +108,7 @@ def main() -> None:
         parser.add_argument(f"--{kind}", type=int, default=count, help="cases, of each effect for clear and faint")
     parser.add_argument("--out", type=Path, default=Path("discovery.jsonl"))
     parser.add_argument("--effects", help="draw from these alone, names with commas between")
+    parser.add_argument("--again", help="replace the rows with one of these effects in them, whatever the new ones say")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"))
@@ -124,22 +126,28 @@ def main() -> None:
         smoke(options.jobs)
         return
     counts = {kind: getattr(options, kind) for kind in ("clear", "faint", "none", "pair", "outside")}
-    names = options.effects.split(",") if options.effects else sorted(EFFECTS)
-    if unknown := [n for n in names if n not in EFFECTS]:
-        sys.exit(f"no draw of {', '.join(unknown)}; there are {', '.join(sorted(EFFECTS))}")
     earlier = read(options.out)
-    seed = options.seed
-    if seed is None:
-        seed = next((r["plan"] for r in earlier if "plan" in r), secrets.randbelow(2**31))
-    if not any("plan" in r for r in earlier):
-        with options.out.open("a") as file:
-            file.write(json.dumps({"plan": seed, "counts": counts}) + "\n")
-    finished = {r["key"] for r in earlier if "key" in r}
-    tasks = [t for t in plan(counts, random.Random(seed), names) if t.key not in finished]
-    with options.out.open("a") as file:
-        for row in run(tasks, options.jobs, options.minutes):
-            file.write(json.dumps(row, default=str) + "\n")
-            file.flush()
+    if options.again:
+        anew = set(options.again.split(","))
+        tasks = [Task.of(r) for r in earlier if anew & set(r.get("truth", ()))]
+    else:
+        begun = next((r for r in earlier if "plan" in r), {})
+        names = options.effects.split(",") if options.effects else begun.get("effects", sorted(EFFECTS))
+        if unknown := [n for n in names if n not in EFFECTS]:
+            sys.exit(f"no draw of {', '.join(unknown)}; there are {', '.join(sorted(EFFECTS))}")
+        seed = options.seed
+        if seed is None:
+            seed = begun.get("plan", secrets.randbelow(2**31))
+        if not begun:
+            earlier.append({"plan": seed, "counts": counts, "effects": names})
+        finished = {r["key"] for r in earlier if "key" in r}
+        tasks = [t for t in plan(counts, random.Random(seed), names) if t.key not in finished]
+    rows = {r.get("key"): r for r in earlier}
+    for row in run(tasks, options.jobs, options.minutes):
+        rows[row["key"]] = row
+        fresh = options.out.with_suffix(".part")
+        fresh.write_text("".join(json.dumps(r, default=str) + "\n" for r in rows.values()))
+        fresh.replace(options.out)
     print(table(read(options.out)))
 
 

@@ -5,8 +5,9 @@ only and would miss a changed effect. What lies there is unpickled, which runs c
 this user's own, closed to all others and no link, or the kernels are compiled in memory.
 
 Kernels allocate nothing, so they are compiled without numba's reference counts: the atomic increments at every call
-cost more than the physics (a factor of ten on the whole simulation). Products and sums may be fused and divisors
-inverted, as a C compiler does the one: results are the same to rounding.
+cost more than the physics (a factor of ten on the whole simulation). Products and sums may be fused, as a C compiler
+does it: results are the same to rounding. Divisors may not be inverted: then the compiler takes their inverses out of
+rare branches and computes them at every step.
 
 Parts of a kernel have no entry of their own from Python, which would be compiled as well; Python that calls one runs it
 as Python.
@@ -30,7 +31,7 @@ from numba.extending import register_jitable
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
 PRIVATE = 0o700
-ROUNDING = {"contract", "arcp"}
+ROUNDING = {"contract"}
 
 
 @cache
@@ -108,8 +109,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 def part(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel that is called, not repeated wherever it is used.
 
-    It says so, as it would inherit ``forceinline`` from a caller: then the compiler hoists the divisions of rare
-    branches out of the step's loops and does them at every step.
+    It says so, as it would inherit ``forceinline`` from a caller.
     """
     return register_jitable(
         error_model="numpy", fastmath=ROUNDING, forceinline=False, _nrt=False, no_cfunc_wrapper=True

@@ -109,6 +109,7 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
 
 _steady = _over(glide, steady=True)
 _body = _over(slide, body=True)
+_one = _over(stepper(two=False, more=False, special=False))
 _two = _over(stepper(two=True, more=False, special=False))
 _open = _over(stepper(two=False, more=False, special=True))
 _all = _over(stepper(two=True, more=True, special=True))
@@ -133,6 +134,8 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
         _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif rigid and not simple and not (remembers(on) or ends(on) or bristles(on) or lost[3] or lost[4]):
         _open(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+    elif rigid and simple and not more:
+        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     elif more or not simple:
         _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
     else:
