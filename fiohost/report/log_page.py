@@ -58,7 +58,7 @@ panels.forEach((panel, place) => {{
     width: width(), height: panel.height + (last ? 46 : 6),
     cursor: {{sync: {{key: "time"}}, drag: {{x: true, y: false}}}},
     scales: {{x: {{time: false}}}},
-    axes: [time, {{label: panel.label, size: 62, labelSize: 20, space: 26, values: texts}}],
+    axes: [time, {{label: panel.label, size: 62, labelSize: 20, space: 20, values: texts}}],
     series: [{{label: "time (s)", value: read}}].concat(panel.curves.map(c => ({{
       label: c.label, stroke: c.colour, width: c.width, dash: c.dash, spanGaps: true,
       paths: c.step ? uPlot.paths.stepped({{align: 1}}) : undefined, points: {{show: false}},

@@ -27,7 +27,7 @@
     const time = last ? {label: "time (s)", size: 28, labelSize: 18, values: texts} : {size: 6, values: (u, all) => all.map(() => "")};
     const options = Object.assign({
       width: parent.clientWidth, height: height + (last ? AXIS : 6), cursor: {sync: {key}, drag: {x: true, y: false}},
-      scales: {x: {time: false}}, axes: [time, {label, size: 58, labelSize: 20, space: 26, values: texts}],
+      scales: {x: {time: false}}, axes: [time, {label, size: 58, labelSize: 20, space: 20, values: texts}],
       series: [{label: "time", value: read("s")}].concat(series),
     }, extra);
     const plot = new uPlot(options, data, parent), rows = plot.root.querySelectorAll(".u-legend .u-series");
