@@ -34,6 +34,11 @@ def nearest(name: str, choices: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
 
 
+def counted(number: int, what: str) -> str:
+    """``1 tick``, ``2 ticks``."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def config_dirs(kind: str) -> list[Path]:
     """Folders of files of one *kind* (``experiments``, ``targets``, ...): the wheel's, the checkout's, then those of
     other packages and of the user.

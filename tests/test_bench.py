@@ -265,7 +265,7 @@ def test_a_few_bad_reports_are_missing_rows_and_the_run_goes_on(fault: Receive, 
     assert missing == list(range(missing[0], missing[0] + len(bad)))
     assert log.metadata["ending"] == "complete"
     assert f"{len(bad)} " in log.metadata["tick_statistics"]
-    assert "9 ticks are missing in 1 gaps" in log.dropped[0]
+    assert "9 ticks are missing in 1 gap" in log.dropped[0]
     assert np.abs(np.diff(log.output)[20:]).max() > 15.0  # the shaft ran on through the gap
     assert sent < 400
 

@@ -268,7 +268,7 @@ def test_missing_ticks_under_a_changing_command_do_not_hide_the_effect(
     head, rows = table_of(logs[1])  # the multisine: what was commanded in the gap nobody knows
     (tmp_path / "gap.csv").write_text(head + "".join(rows[:700] + rows[706:]))
     result, found = diagnosed([tmp_path / "gap.csv", *logs[2:]], tmp_path / "j.json")
-    assert "6 ticks are missing in 1 gaps" in result.stdout
+    assert "6 ticks are missing in 1 gap" in result.stdout
     assert [s["effect"] for s in found["steps"]] == ["constant_load"]
 
 

@@ -198,6 +198,12 @@ def test_every_command_shown_exists_with_its_options(where: str, line: str) -> N
     assert {word for word in words if word.startswith("-") and not word[1:2].isdigit()} <= known, f"{where}: {line}"
 
 
+def test_no_page_shows_a_command_that_was_refused() -> None:
+    for page in PAGES:
+        for block in re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            assert not re.search(r"^(fiohost: |Error: |Traceback)", block, re.MULTILINE), f"{page.name}: {block}"
+
+
 def test_links_between_pages_lead_somewhere() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):

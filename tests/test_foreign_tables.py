@@ -202,6 +202,46 @@ def test_several_tables_of_one_bench_share_one_full_scale(tmp_path: Path) -> Non
     assert "12 V" in logs[0].metadata["understood"]
 
 
+@pytest.mark.parametrize("stamp", ["22.11.2026 09:30:{:06.3f}", "2026-11-22T09:30:{:06.3f}", "09:30:{:06.3f}"])
+def test_a_log_of_dates_begins_at_zero_and_keeps_the_date(stamp: str, tmp_path: Path) -> None:
+    table = tmp_path / "dated.csv"
+    rows = "".join(f"{stamp.format(i / 100)};{3 + i % 7};{i * 0.7:.1f}\n" for i in range(100))
+    table.write_text("Zeit;duty [%];speed [rpm]\n" + rows)
+    done = call("import", table, "--yes", "-o", tmp_path / "log.csv")
+    assert done.exit_code == 0, done.stderr
+    log = Log.read(tmp_path / "log.csv")
+    assert log.time_s[0] == 0.0
+    assert log.time_s[-1] == pytest.approx(0.99)
+    assert log.metadata.get("start_time", "") == ("2026-11-22T09:30:00" if "2026" in stamp else "")
+    assert ",25.2\n" in (tmp_path / "log.csv").read_text()  # 4.2 rpm: no 25.200000000000003
+
+
+def test_a_table_without_names_is_told_by_two_words(tmp_path: Path) -> None:
+    table = tmp_path / "bare.txt"
+    table.write_text("".join(f"{i / 100:.2f} {30 + i % 7} {i * 0.73:.2f}\n" for i in range(100)))
+    told = ("--command", "column 2", "--measured", "column 3", "--unit", "deg", "--full-scale", "100")
+    done = call("import", table, "--yes", *told, "-o", tmp_path / "log.csv")
+    assert done.exit_code == 0, done.stderr
+    assert "assumed: 'column 1', which rises in even steps, is the time" in done.stdout
+    table.write_text("".join(f"{i} {30 + i % 7} {i * 0.73:.2f}\n" for i in range(100)))  # numbers of rows are no times
+    assert "--sample-time" in call("import", table, "--yes", *told).stderr
+
+
+def test_a_column_named_voltage_is_in_volts_and_that_is_said(tmp_path: Path) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text("t [s],voltage,angle [deg]\n" + "".join(f"{i / 100},{3.1 + i % 8},{i}\n" for i in range(50)))
+    done = call("import", table, "--yes", "-o", tmp_path / "log.csv")
+    assert "assumed: 'voltage' is in V; full scale of 'voltage' is 12 V" in done.stdout
+
+
+def test_a_table_of_readings_is_no_log_whose_time_runs_backwards(tmp_path: Path) -> None:
+    table = tmp_path / "readings.csv"
+    table.write_text("kp,overshoot_pct,settling_s,rise_s\n0.5,0,1.2,0.9\n1,3,0.7,0.5\n2,21,0.9,0.3\n")
+    refused = call("import", table, "--yes")
+    assert refused.exit_code == 1
+    assert "diagnose --readings" in refused.stderr
+
+
 def test_frames_are_logs_too() -> None:
     pandas = pytest.importorskip("pandas")
     r = run()

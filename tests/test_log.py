@@ -151,7 +151,7 @@ def test_a_gap_of_missing_ticks_stays_a_gap_and_is_said() -> None:
     log = Log.parse("".join(lines[:33] + lines[38:]))
     assert len(log) == 95
     assert log.tick[-1] == 99
-    assert log.dropped == ("5 ticks are missing in 1 gaps (the longest: 5 ticks after 0.145 s)",)
+    assert log.dropped == ("5 ticks are missing in 1 gap (the longest: 5 ticks after 0.145 s)",)
     assert log.output[-1] == 49.5
 
 

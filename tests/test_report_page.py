@@ -24,6 +24,7 @@ from fiohost.motor.state import BRAKE, DRIVE
 from fiohost.report.effect_curve import effect_curves, equation_words
 from fiohost.report.page import render, write_page
 from fiohost.report.physical import Physical, constants_of, headline, size_rows
+from fiohost.report.plots import plot_series
 from fiohost.report.records import MOST_ROWS, records_script
 from fiohost.report.residual import residual_of, white_words
 from fiohost.report.series import SeriesPlot
@@ -75,6 +76,10 @@ def off_the_curve(model: Model, name: str, record: Record) -> float:
 def test_the_data_of_a_load_lie_on_its_curve_where_the_model_is_right_and_off_it_where_it_is_not() -> None:
     record = made(weight(40.0))
     assert off_the_curve(weight(40.0), "gravity_load", record) < 0.3
+    (picture,) = effect_curves(found_by(weight(40.0), "gravity_load", record))
+    (line,) = picture.lines.values()
+    assert picture.y_label.startswith("load torque, + opposes")  # the picture is that of the equation above it
+    assert np.interp(0.0, picture.x, line) == pytest.approx(5.0 * np.sin(np.deg2rad(40.0)), abs=0.01)
     assert off_the_curve(weight(100.0), "gravity_load", record) > 1.0
 
 
@@ -85,7 +90,7 @@ def test_friction_is_drawn_over_the_speed_and_a_map_of_the_duty_over_the_duty() 
     assert picture.x_label == "speed (deg/s)"
     (line,) = picture.lines.values()
     slow, fast = np.interp((20.0, 250.0), picture.x, line)
-    assert slow < -1.0 < fast < 0.0  # against the motion, and gone at speed
+    assert slow > 1.0 > fast > 0.0  # against the motion, as the equation has it, and gone at speed
     dead = Model(("coulomb_friction", "input_deadband"), {"input_deadband.level_pct": 4.0})
     (picture,) = effect_curves(found_by(dead, "input_deadband", made(dead)))
     (line,) = picture.lines.values()
@@ -155,6 +160,24 @@ def test_the_verdict_and_the_size_come_first_and_the_rest_is_folded(tmp_path: Pa
     assert "0.000" not in re.sub(r"<svg.*?</svg>|<script.*?</script>", "", page, flags=re.DOTALL)
     assert "{&#39;" not in page
     assert "[{" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_candidates_of_one_outcome_share_a_row() -> None:
+    few = [{"effect": name, "score": 0.01, "rejected_because": "scores less"} for name in ("backlash", "duty_curve")]
+    some = [{"effect": "cogging_torque", "score": 0.4, "rejected_because": "removes 2 % of what windows leave"}]
+    page = render(title="t", diagnosis={**diagnosis(), "candidates": [*some, *few]})
+    assert page.count("scores less") == 1
+    assert "backlash 1.0 %, duty curve 1.0 %" in page
+
+
+def test_the_error_of_a_long_record_is_drawn_as_a_band_with_its_mean() -> None:
+    figure = plot_series(series(samples=4000))
+    for axes in figure.axes[1:3]:
+        (mean,) = [line for line in axes.lines if len(line.get_xdata()) > 2]
+        assert len(mean.get_xdata()) <= 250
+        assert "band: least to greatest" in axes.get_title(loc="left")
+    short = plot_series(series(samples=300)).axes[1]
+    assert max(len(line.get_xdata()) for line in short.lines) == 300
 
 
 def test_the_seed_is_printed_in_full_and_the_truth_beside_what_was_found() -> None:

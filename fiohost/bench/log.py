@@ -25,7 +25,7 @@ from fiohost.bench.rows import parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
 from fiohost.bench.writer import SCHEMA, LogWriter
 from fiohost.errors import LogError
-from fiohost.settings import nearest
+from fiohost.settings import counted, nearest
 from fiohost.wire.messages import BRAKE, DRIVE, STANDBY
 
 __all__ = ["BRAKE", "DRIVE", "OUTPUT_UNITS", "STANDBY", "Log", "LogWriter"]
@@ -332,10 +332,11 @@ class Log:
         gaps = np.rint(steps).astype(np.int64) - 1
         doubts = []
         if np.any(gaps > 0):
-            worst = int(np.argmax(gaps))
+            worst, missing = int(np.argmax(gaps)), int(gaps.clip(0).sum())
             doubts.append(
-                f"{int(gaps.clip(0).sum())} ticks are missing in {int(np.sum(gaps > 0))} gaps "
-                f"(the longest: {int(gaps[worst])} ticks after {self.time_s[worst]:g} s)"
+                f"{counted(missing, 'tick')} {'is' if missing == 1 else 'are'} missing "
+                f"in {counted(int(np.sum(gaps > 0)), 'gap')} "
+                f"(the longest: {counted(int(gaps[worst]), 'tick')} after {self.time_s[worst]:g} s)"
             )
         if self.ambiguous_rows.size:
             row = int(self.ambiguous_rows[0])

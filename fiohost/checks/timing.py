@@ -8,6 +8,7 @@ import numpy as np
 
 from fiohost.checks.counts import AT_SPEED, COUNT_NOISE, ROUGHEST_COUNTS, roughness, spread
 from fiohost.checks.finding import Case, Finding
+from fiohost.settings import counted
 
 LEAST_SAMPLES = 100
 
@@ -23,7 +24,8 @@ def missing_ticks(case: Case) -> Iterator[Finding]:
     # A command that was sent in the gap is not known: the shaft may have turned this much more or less.
     unknown = per_pct * np.abs(np.diff(duty))[rows - 1] * missing[rows - 1]
     ticks = int(missing[rows - 1].sum())
-    advice = f"{ticks} ticks are missing in {rows.size} gaps, the longest {int(missing.max())} ticks; "
+    advice = f"{counted(ticks, 'tick')} {'is' if ticks == 1 else 'are'} missing in {counted(rows.size, 'gap')}, "
+    advice += f"the longest {counted(int(missing.max()), 'tick')}; "
     if case.said.ambiguous:
         advice += "in some of them the shaft may have made another turn: cut the log there"
     elif np.any(unknown > 0.5):

@@ -14,6 +14,7 @@ from fiohost.cli.output import Output, json_option, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError, DataError
 from fiohost.files import claim, write_output
+from fiohost.settings import counted
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
@@ -154,7 +155,8 @@ def _asked(say: Output, raw: RawTable, answers: Answers, yes: bool) -> Understan
     _ = found.certain
     if found.assumed and not yes:
         if not asks:
-            raise DataError(f"{raw.path}: {len(found.assumed)} things are assumed, see above: say --yes to take them")
+            many = f"{counted(len(found.assumed), 'thing')} {'is' if len(found.assumed) == 1 else 'are'}"
+            raise DataError(f"{raw.path}: {many} assumed, see above: say --yes to take what is found")
         click.confirm("Take it?", default=True, abort=True, err=True)
     return found
 

@@ -167,30 +167,33 @@ def _table(
     told = {**{k: "" for k in vectors}, **(units or {})}
     columns = []
     for (key, values), name in zip(vectors.items(), names, strict=True):
-        found, kind = _numbers(values)
+        found, kind, begins = _numbers(values)
         columns.append(
-            RawColumn(name, found, told.get(key, ""), kind, missing=_missing(found) if kind != TEXT else None)
+            RawColumn(
+                name, found, told.get(key, ""), kind, missing=_missing(found) if kind != TEXT else None, begins=begins
+            )
         )
     if not sha256:
         sha256 = hashlib.sha256(data).hexdigest()
     return RawTable(path, sha256, tuple(columns), form, (), tuple(notes))
 
 
-def _numbers(values: np.ndarray[Any, Any]) -> tuple[FloatArray, str]:
-    """Any vector as numbers; times in seconds from the first."""
+def _numbers(values: np.ndarray[Any, Any]) -> tuple[FloatArray, str, str]:
+    """Any vector as numbers, what they are, and of dates the first; times in seconds from the first."""
     if values.dtype.kind in "mM":
         known = values[~np.isnat(values)]
         first = known.min() if known.size else values[0]
         since = values - first if values.dtype.kind == "M" else values
         seconds = since.astype("timedelta64[ns]").astype(np.float64) * 1e-9
-        return np.where(np.isnat(values), np.nan, seconds), TIME
+        begins = str(first.astype("datetime64[us]")) if values.dtype.kind == "M" and known.size else ""
+        return np.where(np.isnat(values), np.nan, seconds), TIME, begins
     if values.dtype.kind in "USO":
         from fiohost.importing.cells import column_of
 
         texts = ["" if v is None or (isinstance(v, float) and np.isnan(v)) else str(v).strip() for v in values.tolist()]
         column = column_of("", "", texts, False, range(len(texts)))
-        return column.values, column.kind
-    return values.astype(np.float64), NUMBER
+        return column.values, column.kind, column.begins
+    return values.astype(np.float64), NUMBER, ""
 
 
 def _missing(values: FloatArray) -> tuple[int, str] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from datetime import date
+from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
@@ -92,7 +92,8 @@ def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Se
     if any(is_time(cell) for cell in cells[:LOOKED_AT]):
         times = times_of(cells)
         if times is not None:
-            return RawColumn(name, times, unit, TIME, missing=_first_missing(cells, lines))
+            since, begins = times
+            return RawColumn(name, since, unit, TIME, missing=_first_missing(cells, lines), begins=begins)
     found = [number(cell, comma) for cell in cells]
     values = np.array([math.nan if value is None else value for value in found])
     wrong = [i for i, value in enumerate(found) if value is None and not is_missing(cells[i])]
@@ -128,8 +129,9 @@ def _first_missing(cells: Sequence[str], lines: Sequence[int]) -> tuple[int, str
     return next(((line, cell) for line, cell in zip(lines, cells, strict=True) if is_missing(cell)), None)
 
 
-def times_of(cells: Sequence[str]) -> FloatArray | None:
-    """Seconds since midnight of the first day, shape (rows,), NaN where missing; None where some cell is no time.
+def times_of(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
+    """Seconds since the first cell, shape (rows,), NaN where missing, and the first as ISO 8601 where it has a date;
+    None where some cell is no time.
 
     Dates are ISO 8601 or day first with dots; between slashes day and month are told apart by what makes sense. A clock
     without date that passes midnight goes on.
@@ -160,18 +162,30 @@ def times_of(cells: Sequence[str]) -> FloatArray | None:
             seconds[i] = 60.0 * int(short[1]) + int(short[2]) + float(f"0.{short[3]}")
         else:
             return None
-    if dated:
-        return _with_days(seconds, days, any("." in cell[:6] for cell in cells[:5]))
     known = np.flatnonzero(np.isfinite(seconds))
+    if not known.size:
+        return None
+    if dated:
+        with_days = _with_days(seconds, days, any("." in cell[:6] for cell in cells[:5]))
+        if with_days is None:
+            return None
+        times, day = with_days
+        first = float(times[known[0]])
+        zone = _STAMP.match(cells[known[0]])
+        begin = datetime.fromordinal(day) + timedelta(seconds=round(first, 6))
+        begin = begin.replace(tzinfo=UTC) if zone is not None and zone[13] else begin
+        return times - first, begin.isoformat()
     steps = np.diff(seconds[known], prepend=seconds[known[:1]])
     seconds[known] += DAY_S * np.cumsum(steps < -0.5 * DAY_S)
-    return seconds
+    return seconds - seconds[known[0]], ""
 
 
-def _with_days(seconds: FloatArray, days: list[tuple[int, int, int, bool]], dots: bool) -> FloatArray | None:
-    """The seconds with their days, under the order of day and month that makes sense."""
+def _with_days(
+    seconds: FloatArray, days: list[tuple[int, int, int, bool]], dots: bool
+) -> tuple[FloatArray, int] | None:
+    """Seconds since midnight of the first day, under the order of day and month that makes sense, and that day."""
     orders = (True,) if dots else (True, False)
-    best: FloatArray | None = None
+    best: tuple[FloatArray, int] | None = None
     for day_first in orders:
         known: dict[tuple[int, int, int, bool], int] = {}
         try:
@@ -184,8 +198,8 @@ def _with_days(seconds: FloatArray, days: list[tuple[int, int, int, bool]], dots
             continue
         first = min(known.values())
         times = seconds + DAY_S * np.array([known.get(key, first) - first for key in days])
-        if best is None or np.nanmax(times) - np.nanmin(times) < np.nanmax(best) - np.nanmin(best):
-            best = times
+        if best is None or np.nanmax(times) - np.nanmin(times) < np.nanmax(best[0]) - np.nanmin(best[0]):
+            best = times, first
     return best
 
 

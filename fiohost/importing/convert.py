@@ -17,12 +17,14 @@ from fiohost.importing.map import REFUSE, TableMap
 from fiohost.importing.raw import NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
 from fiohost.importing.times import spaced, times_s
+from fiohost.settings import counted
 
 DUTY_TOLERANCE_PCT = 0.01  # a command printed with few digits may exceed full scale by its rounding
 AMBIGUOUS_STEP = 0.4  # of a turn between rows: the shortest path may be the wrong one
 MOST_MISSING = 0.5  # of the rows
 LOOK_AHEAD = 6  # rows in which a speed must not fall further at its minimum
 TIME_DIGITS = 9  # after the point: a nanosecond
+DIGITS = 14  # that are significant: the fifteenth and later ones are what a change of unit leaves
 
 
 def log_from_table(table: Path, table_map: TableMap) -> Log:
@@ -63,7 +65,7 @@ def _convert(
         gone = int(np.count_nonzero(~keep))
         if gone > MOST_MISSING * raw.rows:
             raise DataError(f"{raw.path}: {gone} of {raw.rows} rows have an empty cell in a column that is needed")
-        notes.append(f"{gone} rows with an empty cell (the first is row {int(np.argmin(keep)) + 1})")
+        notes.append(f"{counted(gone, 'row')} with an empty cell (the first is row {int(np.argmin(keep)) + 1})")
     columns = {name: values[keep] for name, values in columns.items()}
     rows = int(np.count_nonzero(keep))
     if rows == 0:
@@ -89,8 +91,9 @@ def _convert(
     output = output * table_map.output_factor
     if not table_map.signed:
         output = signed_by(output, duty_pct)
-    written = {"time_s": np.round(time_s, TIME_DIGITS), "duty_pct": duty_pct, table_map.log_column: output}
+    written = {"duty_pct": duty_pct, table_map.log_column: output}
     written |= {one.name: columns[one.column] * one.scale for one in table_map.beside}
+    written = {"time_s": np.round(time_s, TIME_DIGITS)} | {k: significant(v, DIGITS) for k, v in written.items()}
     return written, dict(_metadata(raw, table_map, sample_time_s, understood)), tuple(notes)
 
 
@@ -118,6 +121,7 @@ def _metadata(
         ("counts_per_rev", f"{turn:.0f}" if turn and turn.is_integer() else ""),
         ("output_noise_rms", "" if table_map.noise_rms is None else f"{table_map.noise_rms * factor:.12g}"),
         ("pos_reset", str(not table_map.common_zero).lower()),
+        ("start_time", raw.column(table_map.time_column).begins if table_map.time_column else ""),
         ("host_version", __version__),
     ]
 
@@ -164,6 +168,11 @@ def standstill(speed: FloatArray) -> int:
         if speed[i] <= speed[i : i + LOOK_AHEAD].min():
             return int(i)
     return int(np.argmin(speed))
+
+
+def significant(values: FloatArray, digits: int) -> FloatArray:
+    """Numbers, shape (rows,), rounded to so many significant digits."""
+    return np.array([float(f"{value:.{digits}g}") for value in values.tolist()])
 
 
 def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: Path) -> FloatArray:

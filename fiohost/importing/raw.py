@@ -23,7 +23,7 @@ MAX_CELLS = 30_000_000
 
 @dataclass(frozen=True)
 class RawColumn:
-    """One column, shape (rows,): numbers, NaN where a cell is missing; of TIME in seconds, of TEXT all NaN.
+    """One column, shape (rows,): numbers, NaN where a cell is missing; of TIME seconds from the first, of TEXT all NaN.
 
     ``unit`` is the text of the unit as it stands in the table, "" where there is none. ``bad`` is the first cell that
     is neither a number nor missing, and its line.
@@ -35,6 +35,7 @@ class RawColumn:
     kind: str = NUMBER
     bad: tuple[int, str] | None = None
     missing: tuple[int, str] | None = None  # the first missing cell and its line
+    begins: str = ""  # of times with a date: the first, as ISO 8601
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,11 @@ WORDS: dict[str, dict[str, float]] = {
         3.0, "duty pwm command cmd stellgroesse stellwert stellgrad tastgrad tastverhaeltnis throttle dutycycle"
     )
     | _sure(2.5, "u input control actuation effort drive excitation eingang ansteuerung aussteuerung")
-    | _sure(2.0, "voltage volt volts spannung power leistung uq vm va ua vmotor umotor armature motor")
+    | _sure(
+        2.0,
+        "voltage volt volts spannung motorspannung ankerspannung power leistung uq vm va ua vmotor umotor",
+        "armature motor",
+    )
     | _sure(1.5, "v"),
     OUTPUT: _sure(
         2.5,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ DUTY_WORDS = frozenset(
     {"duty", "pwm", "dutycycle", "tastgrad", "tastverhaeltnis", "power", "leistung", "throttle", "stellgrad"}
     | {"aussteuerung", "command", "cmd"}
 )
+VOLT_WORDS = frozenset({"voltage", "volt", "volts", "spannung", "motorspannung", "ankerspannung"})
 ROUNDING = 1.0001
 FULL_SCALE = (
     r"(?:full[ _]?scale|supply|versorgung\w*|v_?max|u_?max|vbat\w*|batter\w+|nominal voltage|nennspannung"
@@ -61,6 +62,10 @@ def scale_of(
             assumed=f"full scale of {name!r} is {full:g} {base}, a round number above the largest, "
             f"{largest * factor:g} (--full-scale)",
         )  # fmt: skip
+    if not measures and command.words & VOLT_WORDS:
+        scale = _voltage(command, largest, factor, supply, titles)
+        said = f"; {scale.assumed}" if scale.assumed else ""
+        return replace(scale, assumed=f"{name!r} is in V{said}")
     if not command.words & DUTY_WORDS:
         return None
     whole = bool(np.all(values == np.rint(values)))

@@ -54,7 +54,11 @@ def sensor_of(raw: RawTable, output: Head, answers: Answers, found: Found) -> Ta
     coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
     average = "previous_interval" if coarse else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
-    parts += [f"resolution {quantum:.6g} {unit}"] if quantum else []
+    parts += (
+        ["resolution 1 count" if quantum == 1 and unit == "counts" else f"resolution {quantum:.6g} {unit}"]
+        if quantum
+        else []
+    )
     parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
     parts += [f"{turn:g} counts a turn"] if turn else []
     if coarse:

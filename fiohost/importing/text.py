@@ -22,6 +22,7 @@ from fiohost.errors import LogError
 from fiohost.importing.cells import column_of, is_comma_number, is_missing, is_point_number, is_time, is_value
 from fiohost.importing.raw import MAX_BYTES, NUMBER, RawColumn, RawTable, checked_size, unique_names
 from fiohost.importing.units import is_unit
+from fiohost.settings import counted
 
 MAX_LINE = 100_000
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -68,7 +69,7 @@ def read_text_table(path: Path, wanted: Sequence[str] = ()) -> RawTable:
     data_lines = [line for line in body[dialect.start :] if line.text not in heads]
     again = len(body) - dialect.start - len(data_lines)
     rows, numbers, notes = _rows(data_lines, dialect, path)
-    notes += [f"{again} lines that repeat the names"] if again else []
+    notes += [f"{counted(again, 'line')} with the names again"] if again else []
     checked_size(path, len(rows), len(wanted) or dialect.width)
     comma = _comma(rows, dialect)
     if names and 2 * len(names) == dialect.width and dialect.delimiter == ",":
@@ -86,7 +87,7 @@ def read_text_table(path: Path, wanted: Sequence[str] = ()) -> RawTable:
     form = [f"{DELIMITER_WORDS[dialect.delimiter]} between cells"]
     form += ["decimal commas"] if comma else []
     form += [encoding] if encoding != "UTF-8" else []
-    form += [f"{len(titles)} title rows"] if titles else []
+    form += [counted(len(titles), "title row")] if titles else []
     form += ["units in a row of their own"] if any(units) else []
     return RawTable(
         path,

@@ -29,6 +29,7 @@ from fiohost.settings import nearest
 
 BACKWARDS = 0.2  # share of strong forward command during which the motor turns backwards
 UNSIGNED_SHARE = 0.05  # of the rows with a negative command and a positive speed
+EVEN_ROWS, EVEN_STEP, EVEN_SHARE = 20, 0.3, 0.95  # rows, and of a step how far and how often it may differ
 LIKELY = 2.5  # points by which an angle may be less sure than a speed and is still taken
 
 
@@ -124,9 +125,14 @@ def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found)
         likely = sorted((h for h in heads if h.score(roles.TIME) > 1.0), key=lambda h: -h.score(roles.TIME))
         likely = [h for h in likely if h.score(roles.TIME) >= max(h.score(r) for r in h.scores)]
         rising = [h for h in likely if _rises(h.column.values)]
-        likely = rising or likely
+        likely = rising or [h for h in likely if h.words & roles.WORDS[roles.TIME].keys()]
     if not likely:
-        found.unknown.append(Unknown("sample_time_s", "its time: no column is one of time", "--sample-time"))
+        likely = [h for h in heads if h.column.name not in (answers.command, answers.output) and _even(h)][:1]
+        found.assumed += [f"{h.column.name!r}, which rises in even steps, is the time" for h in likely]
+    if not likely:
+        what = "its time: no column is one of time"
+        what += " (a table of readings is for fiohost diagnose --readings)" if raw.rows < EVEN_ROWS else ""
+        found.unknown.append(Unknown("sample_time_s", what, "--time or --sample-time", tuple(raw.names)))
         return None
     clock = clock_of(likely[0], raw.path)
     found.used.add(likely[0].column.name)
@@ -134,6 +140,16 @@ def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found)
     if clock.assumed:
         found.assumed.append(clock.assumed)
     return clock
+
+
+def _even(head: Head) -> bool:
+    """Whether a column of which nothing is said rises as times do: in even steps that are no whole numbers."""
+    values = head.column.values
+    if head.role or len(values) < EVEN_ROWS or not np.isfinite(values).all():
+        return False
+    steps = np.diff(values)
+    even = steps.min() > 0.0 and float(np.mean(np.abs(steps / np.median(steps) - 1.0) < EVEN_STEP)) > EVEN_SHARE
+    return bool(even) and not bool(np.all(values == np.rint(values)))
 
 
 def _rises(values: FloatArray) -> bool:

@@ -33,6 +33,7 @@ MOVES = 1e-9  # a torque that changes by less follows nothing
 SPEED_SHARE = 0.02  # of the top speed: below it the direction is a matter of rounding
 ANGLE_LABEL = "shaft angle on the turn (deg)"
 TORQUE_LABEL = "torque, + helps forward motion (% of duty)"
+LOAD_LABEL = "load torque, + opposes forward motion (% of duty)"
 Torque = Callable[[float, float], float]
 
 
@@ -80,14 +81,18 @@ def _picture(found: Diagnosis, model: Model, item: Effect) -> CurvePlot | None:
         return None  # has a past: no curve holds it
     if item.torque is None and item.load is None and item.friction is None:
         return None
-    torque = _torque(model, item)
+    helps = item.equation.startswith("torque")  # else the equation is that of a load or friction
+    label, torque = (TORQUE_LABEL, _torque(model, item)) if helps else (LOAD_LABEL, _opposite(_torque(model, item)))
     speeds = _top_speed(found)
     by_angle = _varies(torque, [(a, s) for a in np.linspace(0.0, 350.0, 36) for s in (0.5 * speeds,)])
     direction = [torque(a, 0.5 * speeds) - torque(a, -0.5 * speeds) for a in np.linspace(0.0, 350.0, 36)]
     if by_angle and not found.train[0].rotary:
         return None
     both = bool(np.max(np.abs(direction)) > MOVES)
-    data = [_along(r, j, model, torque) for r, j in zip(found.train, found.final.judgements, strict=True)]
+    data = [
+        _along(r, j, model, torque, 1.0 if helps else -1.0)
+        for r, j in zip(found.train, found.final.judgements, strict=True)
+    ]
     samples = [np.concatenate(part) for part in zip(*[d for d in data if d is not None], strict=True)] if data else []
     if not samples:
         return None
@@ -102,13 +107,13 @@ def _picture(found: Diagnosis, model: Model, item: Effect) -> CurvePlot | None:
         for way, sign in ways.items():
             there = sign * speed > SPEED_SHARE * speeds if way else np.ones(len(speed), dtype=bool)
             points[f"data {way}".strip()] = _means(angle[there], shown[there], np.linspace(0.0, 360.0, BINS + 1))
-        return CurvePlot(title, ANGLE_LABEL, TORQUE_LABEL, grid, lines, points=points, equation=title, found=True)
+        return CurvePlot(title, ANGLE_LABEL, label, grid, lines, points=points, equation=title, found=True)
     moving = np.abs(speed) > SPEED_SHARE * speeds
     grid = np.linspace(-speeds, speeds, 2 * GRID)
     line = np.array([torque(0.0, s) for s in grid])
     edges = np.linspace(-speeds, speeds, BINS + 1)
     return CurvePlot(
-        title, f"speed ({unit}/s)", TORQUE_LABEL, grid, {name: line},
+        title, f"speed ({unit}/s)", label, grid, {name: line},
         points={"data": _means(speed[moving], shown[moving], edges)}, equation=title, found=True,
     )  # fmt: skip
 
@@ -168,6 +173,10 @@ def _torque(model: Model, item: Effect) -> Torque:
     return torque
 
 
+def _opposite(torque: Torque) -> Torque:
+    return lambda theta, omega: -torque(theta, omega)
+
+
 def _varies(torque: Torque, places: Sequence[tuple[float, float]]) -> bool:
     return bool(np.ptp([torque(a, s) for a, s in places]) > MOVES)
 
@@ -186,8 +195,10 @@ def _top_speed(found: Diagnosis) -> float:
     return max(float(np.quantile(np.concatenate(speeds), 0.999)), 1e-6)
 
 
-def _along(record: Record, judgement: Judgement, model: Model, torque: Torque) -> tuple[Array, Array, Array] | None:
-    """Angle on the turn, speed, and the effect's torque plus what is still missing, along one record."""
+def _along(
+    record: Record, judgement: Judgement, model: Model, torque: Torque, sign: float
+) -> tuple[Array, Array, Array] | None:
+    """Angle on the turn, speed, and the effect's torque plus *sign* times what is still missing, along one record."""
     speed, left = _speed(record, judgement), missing_torque(record, model, judgement.free_residual)
     angle = bench_angle(record, judgement)
     if angle is None:
@@ -195,7 +206,7 @@ def _along(record: Record, judgement: Judgement, model: Model, torque: Torque) -
     step = max(1, len(speed) // MOST_SAMPLES)
     angle, speed, left = angle[::step], speed[::step], left[::step]
     own = np.array([torque(a, s) for a, s in zip(angle.tolist(), speed.tolist(), strict=True)])
-    return angle, speed, own + left
+    return angle, speed, own + sign * left
 
 
 def _means(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:

@@ -40,6 +40,7 @@ Click a name below a panel to hide its curve.</p>
 "use strict";
 const panels = {panels};
 const sync = uPlot.sync("time"), plots = [], room = document.getElementById("panels");
+const read = (u, v) => v == null ? "–" : Number(v.toPrecision(6)).toString();
 let zooming = false;
 function zoom(u) {{
   if (zooming) return;
@@ -49,20 +50,25 @@ function zoom(u) {{
   zooming = false;
 }}
 function width() {{ return Math.max(320, room.clientWidth); }}
-for (const panel of panels) {{
+const texts = (u, all) => all.map(v => Number(v.toPrecision(9)).toString()), none = (u, all) => all.map(() => "");
+panels.forEach((panel, place) => {{
+  const last = place === panels.length - 1;
+  const time = last ? {{label: "time (s)", size: 28, labelSize: 18, values: texts}} : {{size: 6, values: none}};
   const options = {{
-    width: width(), height: panel.height, cursor: {{sync: {{key: "time"}}, drag: {{x: true, y: false}}}},
+    width: width(), height: panel.height + (last ? 46 : 6),
+    cursor: {{sync: {{key: "time"}}, drag: {{x: true, y: false}}}},
     scales: {{x: {{time: false}}}},
-    axes: [{{label: "time (s)"}}, {{label: panel.label, size: 72}}],
-    series: [{{label: "time (s)"}}].concat(panel.curves.map(c => ({{
+    axes: [time, {{label: panel.label, size: 62, labelSize: 20, space: 20, values: texts}}],
+    series: [{{label: "time (s)", value: read}}].concat(panel.curves.map(c => ({{
       label: c.label, stroke: c.colour, width: c.width, dash: c.dash, spanGaps: true,
       paths: c.step ? uPlot.paths.stepped({{align: 1}}) : undefined, points: {{show: false}},
-      value: (u, v) => v == null ? "-" : v.toPrecision(6),
+      value: read,
     }}))),
     hooks: {{setScale: [(u, key) => {{ if (key === "x") zoom(u); }}]}},
   }};
   plots.push(new uPlot(options, panel.data, room));
-}}
+  if (place) plots[place].root.querySelector(".u-legend .u-series").style.display = "none";  // the time is read above
+}});
 function all() {{
   for (const p of plots) p.setScale("x", {{min: p.data[0][0], max: p.data[0][p.data[0].length - 1]}});
 }}
@@ -98,8 +104,8 @@ def _panels(series: Sequence[LogSeries]) -> list[dict[str, Any]]:
         if one.simulated is not None:
             model = BEFORE if not several else colour
             top.append((one, f"{tag}{one.model}", one.simulated, model, {"dash": [6, 3]}))
-            error = wanted.setdefault(f"measured - simulated ({one.unit})", [])
-            error.append((one, f"{tag}error", one.output - one.simulated, model, {}))
+            error = wanted.setdefault(f"error ({one.unit})", [])
+            error.append((one, f"{tag}measured - {one.model}", one.output - one.simulated, model, {}))
         if one.speed is not None:
             wanted.setdefault(f"speed ({one.speed_unit})", []).append((one, f"{tag}speed", one.speed, colour, {}))
         duty = wanted.setdefault("duty (%)", [])
@@ -122,7 +128,7 @@ def _panel(
             column[index] = _number(value)
         data.append(column)
     told = [{"label": name, "colour": colour, "width": 1.3, **more} for _, name, _, colour, more in curves]
-    return {"label": label, "height": 300 if place == 0 else 180, "curves": told, "data": data}
+    return {"label": label, "height": 260 if place == 0 else 150, "curves": told, "data": data}
 
 
 def _number(value: float) -> float | None:

@@ -16,6 +16,7 @@ from fiohost.report.words import number
 
 MOST_LINES = 12  # of text below a picture
 LINE_IN = 0.16
+UNITS = {"C": "°C", "Nm": "N m"}
 
 
 @matplotlib.rc_context(STYLE)
@@ -131,7 +132,7 @@ def _panel(axes: Axes, panel: str, one: LogSeries, colour: str, several: bool) -
 def label_of(column: str) -> str:
     """``current_A`` as people write it: current (A)."""
     name, _, unit = column.rpartition("_")
-    return f"{name.replace('_', ' ')} ({unit})"
+    return f"{name.replace('_', ' ')} ({UNITS.get(unit, unit)})"
 
 
 def _draw(axes: Axes, time_s: Array, values: Array, colour: str, label: str) -> None:

@@ -86,7 +86,6 @@ def render(
     )
     environment.filters["number"] = words.number
     environment.filters["effect"] = words.effect_words
-    environment.filters["percent"] = lambda score: words.number(100.0 * float(score or 0.0), 3)
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     logs = list(diagnosis.get("logs") or [])
     candidates = sorted(diagnosis.get("candidates") or [], key=lambda c: -float(c.get("score") or 0.0))
@@ -139,6 +138,7 @@ def render(
         steps=steps,
         chosen=chosen,
         candidates=candidates,
+        outcomes=_outcomes(candidates, chosen),
         follows=words.follows(diagnosis),
         white=white,
         white_words=white_words(left, white) if left else [],
@@ -173,6 +173,17 @@ def render(
         pictures_open=[as_svg(plot_curve(c)) for c in others] if open_verdict else [],
         pictures_rest=[] if open_verdict else [as_svg(plot_curve(c)) for c in others],
     )
+
+
+def _outcomes(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[str]) -> list[tuple[str, str]]:
+    """What became of the candidates, each outcome once, with the names that share it and their scores in percent."""
+    found: dict[str, list[str]] = {}
+    for one in candidates:
+        outcome = "chosen" if one.get("effect") in chosen else str(one.get("rejected_because") or "not chosen")
+        score = float(one.get("score") or 0.0)
+        share = words.number(100.0 * score, 2) if score >= LEAST_SCORE else "0"
+        found.setdefault(outcome, []).append(f"{words.effect_words(str(one.get('effect')))} {share} %")
+    return [(outcome, ", ".join(names)) for outcome, names in found.items()]
 
 
 LEAST_SCORE = 0.0005  # of a candidate in the picture: less is no bar

@@ -21,13 +21,14 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fiohost.files import make_folder, write_output
 from fiohost.report.series import Array, CurvePlot, SeriesPlot
-from fiohost.report.words import effect_words, share
+from fiohost.report.words import effect_words, number
 
 # Okabe and Ito's palette, told apart in all common kinds of colour blindness and in print by line style
 MEASURED, BEFORE, AFTER, FLOOR, GREY = "#000000", "#D55E00", "#0072B2", "#009E73", "#7A7A7A"
 LINE_CYCLE = (AFTER, BEFORE, FLOOR, "#CC79A7", "#56B4E9", "#E69F00")
 ROLES = {"train": "training", "holdout": "held out", "confirm": "fresh record, never used before"}
 MAX_POINTS = 3000
+PIECES = 250  # of a band over time
 STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # a name with dollar signs is no formula
     "font.size": 10.0,
@@ -67,17 +68,23 @@ def plot_series(series: SeriesPlot) -> Figure:
 
     for axes, (name, y) in zip(rows[1:], residuals, strict=False):
         error = series.measured - y
-        keep = thin(series.time_s, error)
+        colour, dense = _line(name)["color"], len(error) > 2 * PIECES
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         if np.isfinite(series.floor_rms) and series.floor_rms > 0:
             axes.axhspan(-series.floor_rms, series.floor_rms, color=FLOOR, alpha=0.25, linewidth=0)
             for edge in (-series.floor_rms, series.floor_rms):
                 axes.axhline(edge, color=FLOOR, linewidth=1.3, linestyle=(0, (4, 2)), zorder=4)
-        axes.plot(series.time_s[keep], error[keep], color=_line(name)["color"], linewidth=0.9)
+        if dense:  # drawn sample by sample it would be a solid block
+            at_s, least, mean, most = band(series.time_s, error)
+            axes.fill_between(at_s, least, most, color=colour, alpha=0.28, linewidth=0)
+            axes.plot(at_s, mean, color=colour, linewidth=1.1)
+        else:
+            axes.plot(series.time_s, error, color=colour, linewidth=0.9)
         axes.set_ylabel(f"error {name}\n({series.unit})")
         rms = float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
-        floor = f", floor {series.floor_rms:.3g} (green)" if np.isfinite(series.floor_rms) else ""
-        note = f"{name}: rms {rms:.3g} {series.unit}{floor}"
+        floor = f", floor {series.floor_rms:.3g} {series.unit} (green)" if np.isfinite(series.floor_rms) else ""
+        drawn = "; line: mean, band: least to greatest" if dense else ""
+        note = f"{name}: {rms:.3g} {series.unit} rms{floor}{drawn}"
         axes.set_title(note, fontsize=9, fontweight="normal", color="#333333", pad=3)
     if series.duty_pct is not None:
         axes = rows[-1]
@@ -123,7 +130,7 @@ def plot_candidates(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[st
     ranked = sorted(candidates, key=lambda c: -_float(c.get("score")))[:most]
     figure, (axes,) = _figure(9.0, 1.3 + 0.3 * max(len(ranked), 1), [1.0])
     y = np.arange(len(ranked))[::-1]
-    scores = np.array([_float(c.get("score")) for c in ranked])
+    scores = 100.0 * np.array([_float(c.get("score")) for c in ranked])
     taken = [str(c.get("effect")) in chosen for c in ranked]
     bars = axes.barh(y, scores, color=[AFTER if t else "#C4CDD5" for t in taken], height=0.72)
     for bar, mark in zip(bars, taken, strict=True):
@@ -133,10 +140,13 @@ def plot_candidates(candidates: Sequence[Mapping[str, Any]], chosen: Sequence[st
     axes.set_yticks(y, [effect_words(str(c.get("effect"))) for c in ranked])
     for position, score, mark in zip(y, scores, taken, strict=True):
         axes.annotate(
-            f" {share(score)}" + ("  chosen" if mark else ""), (max(score, 0.0), position), va="center", fontsize=9
+            f" {number(score, 2)} %" + ("  chosen" if mark else ""),
+            (max(score, 0.0), position),
+            va="center",
+            fontsize=9,
         )
-    axes.set_xlim(0.0, 1.2 * max(float(scores.max(initial=0.0)), 1e-3))  # a negative score takes nothing: no bar
-    axes.set_xlabel("score: share of the residual that the candidate takes (larger is more)")
+    axes.set_xlim(0.0, 1.2 * max(float(scores.max(initial=0.0)), 0.1))  # a negative score takes nothing: no bar
+    axes.set_xlabel("share of the residual that the candidate takes (%)")
     axes.set_title("Candidates")
     axes.grid(axis="y", visible=False)
     return figure
@@ -289,6 +299,13 @@ def _log_axis(axes: Axes, values: Array) -> None:
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def band(time_s: Array, values: Array, pieces: int = PIECES) -> tuple[Array, Array, Array, Array]:
+    """Times, least, mean and greatest of pieces of a series: a long series as a band that stays readable."""
+    parts = np.array_split(np.arange(len(values)), min(pieces, len(values)))
+    low, mean, high = (np.array([f(values[p]) for p in parts]) for f in (np.min, np.mean, np.max))
+    return np.array([time_s[p].mean() for p in parts]), low, mean, high
 
 
 def thin(time_s: Array, values: Array) -> Array | Any:

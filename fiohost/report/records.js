@@ -1,8 +1,9 @@
 "use strict";
 // Records of a report: measured and simulated, the errors before and after as bands, the duty. Zoomed far enough in,
-// the band becomes the error itself. One record's panels zoom and point together.
+// the band becomes the error itself. One record's panels zoom and point together; the lowest has the axis of time.
 (() => {
   const PIXELS_A_PIECE = 3, FINE = 4;  // a band's piece is so wide; with fewer samples a piece the line itself is drawn
+  const AXIS = 46;  // pixels that the axis of time takes
   const shown = [];
 
   function banded(values, pieces) {  // the least, mean and greatest around every sample, in pieces
@@ -16,17 +17,22 @@
     }
     return [low, mean, high];
   }
-  const digits = (u, v) => v == null ? "–" : Number(v.toPrecision(5)).toString();
-  const line = (label, stroke, more) => Object.assign({label, stroke, width: 1.4, points: {show: false}, value: digits}, more);
+  const text = v => Number(v.toPrecision(5)).toString(), texts = (u, all) => all.map(v => Number(v.toPrecision(9)).toString());
+  const read = unit => (u, v) => v == null ? "–" : text(v) + " " + unit;
+  const line = (label, stroke, unit, more) => Object.assign({label, stroke, width: 1.4, points: {show: false}, value: read(unit)}, more);
+  const edge = {label: "", stroke: "transparent", width: 0, points: {show: false}};
 
-  function room(parent, title, height, label, series, data, key, extra) {
-    const sync = uPlot.sync(key), options = Object.assign({
-      title, width: parent.clientWidth, height, cursor: {sync: {key}, drag: {x: true, y: false}},
-      scales: {x: {time: false}}, axes: [{label: "time (s)", labelSize: 20}, {label, size: 70, labelSize: 20}],
-      series: [{label: "time (s)", value: digits}].concat(series),
+  // *silent*: numbers of the series that have no place in the legend; *last*: whether the axis of time is below
+  function room(parent, height, label, series, data, key, silent, first, last, extra) {
+    const time = last ? {label: "time (s)", size: 28, labelSize: 18, values: texts} : {size: 6, values: (u, all) => all.map(() => "")};
+    const options = Object.assign({
+      width: parent.clientWidth, height: height + (last ? AXIS : 6), cursor: {sync: {key}, drag: {x: true, y: false}},
+      scales: {x: {time: false}}, axes: [time, {label, size: 58, labelSize: 20, space: 20, values: texts}],
+      series: [{label: "time", value: read("s")}].concat(series),
     }, extra);
-    const plot = new uPlot(options, data, parent);
-    sync.sub(plot);
+    const plot = new uPlot(options, data, parent), rows = plot.root.querySelectorAll(".u-legend .u-series");
+    for (const row of first ? silent : [0].concat(silent)) rows[row].style.display = "none";
+    uPlot.sync(key).sub(plot);
     return plot;
   }
 
@@ -50,23 +56,27 @@
       plot.setData([t, edges[0], fine ? plot.errors : plot.pieces[1], edges[1]].concat(plot.floors), false);
       plot.setScale("x", {min, max});
     }
-    plots.push(room(element, "", 260, record.label, [line("measured", "#555", {width: 2.6})].concat(
-      models.map(m => line("simulated " + m[0], m[1], {dash: m[2]}))), [t, record.measured].concat(models.map(m => record[m[0]])),
-      name, {hooks: follow}));
-    for (const m of models) {
+    const whole = !record.duty && !models.length;
+    plots.push(room(element, 260, record.label, [line("measured", "#B4B4B4", record.unit, {width: 5})].concat(
+      models.map(m => line("simulated " + m[0], m[1], record.unit, {dash: m[2]}))),
+      [t, record.measured].concat(models.map(m => record[m[0]])), name, [], true, whole, {hooks: follow}));
+    models.forEach((m, place) => {
       const errors = record.measured.map((y, i) => y - record[m[0]][i]);
       const bands = banded(errors, 900 / PIXELS_A_PIECE), floor = record.floor;
       const floors = floor ? [t.map(() => floor), t.map(() => -floor)] : [];
-      const plot = room(element, "", 180, "error " + m[0] + " (" + record.unit + ")", [
-        line("least", "transparent", {width: 0}), line("error " + m[0], m[1], {width: 1.1}), line("greatest", "transparent", {width: 0}),
-      ].concat(floors.map((f, i) => line(i ? "- floor" : "floor", "#009E73", {dash: [4, 3], width: 1.2}))),
-      [t, bands[0], bands[1], bands[2]].concat(floors), name, {bands: [{series: [3, 1], fill: m[1] + "40"}], hooks: follow});
+      const value = (u, v, s, i) => v == null ? "–" : u.fine ? text(v) + " " + record.unit :
+        "mean " + text(v) + ", from " + text(u.data[1][i]) + " to " + text(u.data[3][i]) + " " + record.unit;
+      const plot = room(element, 150, "error " + m[0] + " (" + record.unit + ")",
+        [edge, line("error " + m[0], m[1], record.unit, {width: 1.1, value}), edge].concat(
+          floors.map(f => line("floor", "#009E73", record.unit, {dash: [4, 3], width: 1.2}))),
+        [t, bands[0], bands[1], bands[2]].concat(floors), name, floor ? [1, 3, 5] : [1, 3], false,
+        !record.duty && place === models.length - 1, {bands: [{series: [3, 1], fill: m[1] + "40"}], hooks: follow});
       plot.errors = errors; plot.pieces = bands; plot.floors = floors;
       plots.push(plot);
-    }
+    });
     if (record.duty) {
-      plots.push(room(element, "", 140, "duty (%)", [line("duty", "#7A7A7A", {paths: uPlot.paths.stepped({align: 1})})],
-        [t, record.duty], name, {hooks: follow}));
+      plots.push(room(element, 110, "duty (%)", [line("duty", "#7A7A7A", "%", {paths: uPlot.paths.stepped({align: 1})})],
+        [t, record.duty], name, [], false, true, {hooks: follow}));
     }
     for (const plot of plots) {
       plot.over.addEventListener("dblclick", () => plots[0].setScale("x", {min: t[0], max: t[t.length - 1]}));

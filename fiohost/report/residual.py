@@ -1,4 +1,4 @@
-"""What is left of one record, looked at from all sides: over time, its distribution, its memory, its spectrum, and
+"""What is left of one record, from all sides: over time, its histogram, its autocorrelation, its spectrum, and
 against speed and angle; and whether it is white, in words.
 """
 
@@ -10,19 +10,20 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.signal import welch
 
-from fiohost.report.plots import AFTER, BEFORE, FLOOR, GREY, STYLE, canvas
+from fiohost.report.plots import AFTER, BEFORE, FLOOR, GREY, STYLE, band, canvas
 from fiohost.report.series import Array, SeriesPlot
 from fiohost.report.words import with_unit
 
 SIGMAS = 2.576  # of an autocorrelation by chance: 99 of 100 lie within
 LAGS = 100
-PIECES = 250  # of a band over time
 BINS = 40
 SEGMENTS = 8
+FEW_DECADES = 1.7  # of a spectrum: below it 2 and 5 of each decade are written too
 MATTERS = 0.1  # a correlation below it explains less than a hundredth of the next error
+LEGEND_ROOM = 0.16  # of a panel's height
 NEAR = 10  # lags within which it is looked for
 
 
@@ -109,42 +110,39 @@ def white_words(left: Residual, white: bool | None) -> list[str]:
 
 @matplotlib.rc_context(STYLE)
 def plot_residual(left: Residual) -> Figure:
-    """Six panels: time, distribution, autocorrelation, spectrum, against speed, against angle."""
+    """Six panels: time, histogram, autocorrelation, spectrum, against speed, against angle."""
     figure = canvas(9.0, 8.6)
     axes = figure.subplots(3, 2)
     _over_time(axes[0, 0], left)
-    _distribution(axes[0, 1], left)
-    _memory(axes[1, 0], left)
+    _histogram(axes[0, 1], left)
+    _autocorrelation(axes[1, 0], left)
     _spectrum(axes[1, 1], left)
     if left.speed is not None:
-        _against(axes[2, 0], left, left.speed, f"speed ({left.speed_unit})", "Against speed")
+        _against(axes[2, 0], left, left.speed, f"speed ({left.speed_unit})", "Residual against speed")
     if left.angle is not None:
-        _against(axes[2, 1], left, left.angle, "shaft angle on the turn (deg)", "Against angle")
+        _against(axes[2, 1], left, left.angle, "shaft angle on the turn (deg)", "Residual against angle")
     else:
         axes[2, 1].set_visible(False)
     return figure
 
 
-def band(time_s: Array, values: Array, pieces: int = PIECES) -> tuple[Array, Array, Array, Array]:
-    """Times, least, mean and greatest of pieces of a series: a long series as a band that stays readable."""
-    parts = np.array_split(np.arange(len(values)), min(pieces, len(values)))
-    low, mean, high = (np.array([f(values[p]) for p in parts]) for f in (np.min, np.mean, np.max))
-    return np.array([time_s[p].mean() for p in parts]), low, mean, high
-
-
 def _legend(axes: Axes) -> None:
-    axes.legend(loc="upper right", fontsize=7.5, frameon=True, framealpha=0.85, edgecolor="none")
+    """A legend in a strip of its own above the curves."""
+    low, high = axes.get_ylim()
+    log = axes.get_yscale() == "log"
+    axes.set_ylim(low, high * (high / low) ** LEGEND_ROOM if log else high + LEGEND_ROOM * (high - low))
+    axes.legend(loc="upper right", fontsize=7.5, ncols=3)
 
 
 def _over_time(axes: Axes, left: Residual) -> None:
     time_s, low, mean, high = band(left.time_s, left.error)
     axes.fill_between(time_s, low, high, color=AFTER, alpha=0.25, linewidth=0, label="least to greatest")
     axes.plot(time_s, mean, color=AFTER, linewidth=1.1, label="mean")
-    axes.set(xlabel="time (s)", ylabel=f"error ({left.unit})", title="Over time")
+    axes.set(xlabel="time (s)", ylabel=f"error ({left.unit})", title="Residual over time")
     _legend(axes)
 
 
-def _distribution(axes: Axes, left: Residual) -> None:
+def _histogram(axes: Axes, left: Residual) -> None:
     wide = max(float(np.quantile(np.abs(left.error), 0.999)), 1e-12)
     edges = np.linspace(-wide, wide, BINS + 1)
     share = np.histogram(left.error, edges)[0] / len(left.error) * 100.0
@@ -157,16 +155,16 @@ def _distribution(axes: Axes, left: Residual) -> None:
         for edge in (-0.5 * left.quantum, 0.5 * left.quantum):
             axes.axvline(edge, color=FLOOR, linestyle=(0, (4, 2)), linewidth=1.3)
         axes.plot([], [], color=FLOOR, linestyle=(0, (4, 2)), label="one count")
-    axes.set(xlabel=f"error ({left.unit})", ylabel="share of samples (%)", title="Distribution")
+    axes.set(xlabel=f"error ({left.unit})", ylabel="share of samples (%)", title="Histogram")
     _legend(axes)
 
 
-def _memory(axes: Axes, left: Residual) -> None:
+def _autocorrelation(axes: Axes, left: Residual) -> None:
     lag_s = np.arange(len(left.correlation)) * left.sample_time_s
     axes.axhspan(-left.chance, left.chance, color=FLOOR, alpha=0.25, linewidth=0, label="99 % by chance")
     axes.plot(lag_s, left.correlation, color=AFTER, marker=".", markersize=3, linewidth=0.9)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.set(xlabel="lag (s)", ylabel="autocorrelation (1 is the same)", title="Memory")
+    axes.set(xlabel="lag (s)", ylabel="correlation coefficient", title="Autocorrelation")
     _legend(axes)
 
 
@@ -174,11 +172,13 @@ def _spectrum(axes: Axes, left: Residual) -> None:
     length = max(16, min(len(left.error), 2 ** int(np.log2(max(16, 2 * len(left.error) // (SEGMENTS + 1))))))
     frequency, power = welch(left.error - left.error.mean(), fs=1.0 / left.sample_time_s, nperseg=length)
     axes.loglog(frequency[1:], np.sqrt(np.maximum(power[1:], 1e-30)), color=AFTER, linewidth=1.0)
-    for axis in (axes.xaxis, axes.yaxis):
+    few = float(np.ptp(np.log10(np.sqrt(np.maximum(power[1:], 1e-30))))) < FEW_DECADES
+    for axis, subs in ((axes.xaxis, (1.0,)), (axes.yaxis, (1.0, 2.0, 5.0) if few else (1.0,))):
+        axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     level = left.rms * np.sqrt(2.0 * left.sample_time_s)
-    axes.axhline(level, color=FLOOR, linestyle=(0, (4, 2)), linewidth=1.3, label="white noise of this size")
+    axes.axhline(level, color=FLOOR, linestyle=(0, (4, 2)), linewidth=1.3, label="white noise of the same rms")
     axes.set(xlabel="frequency (Hz)", ylabel=f"amplitude density ({left.unit}/√Hz)", title="Spectrum")
     _legend(axes)
 
@@ -190,7 +190,7 @@ def _against(axes: Axes, left: Residual, x: Array, label: str, title: str) -> No
     centres = np.array([x[bins == i].mean() for i, part in enumerate(kept) if len(part)])
     kept = [part for part in kept if len(part)]
     low, high = (np.array([np.quantile(part, q) for part in kept]) for q in (0.1, 0.9))
-    axes.fill_between(centres, low, high, color=AFTER, alpha=0.25, linewidth=0, label="8 of 10 errors")
+    axes.fill_between(centres, low, high, color=AFTER, alpha=0.25, linewidth=0, label="80 % of the errors")
     axes.plot(centres, [part.mean() for part in kept], color=AFTER, marker=".", linewidth=1.1, label="mean")
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set(xlabel=label, ylabel=f"error ({left.unit})", title=title)

@@ -1,4 +1,4 @@
-"""A lab as a page with blanks: titles, questions and the first column of each table stay, what is found is left out."""
+"""A lab as a page with blanks: titles, questions and what is given in each table stay, what is found is left out."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def worksheet_page(result: Mapping[str, Any], student: str = "") -> str:
         parts += [f"<th>{html.escape(str(name))}</th>" for name in table["columns"]]
         parts.append("</tr>")
         for row in table["rows"]:
-            cells = "".join(_cell(cell, given=place == 0) for place, cell in enumerate(row))
+            cells = "".join(_cell(cell, given=place < table.get("given", 1)) for place, cell in enumerate(row))
             parts.append(f"<tr>{cells}</tr>")
         parts.append("</table>")
     for number, one in enumerate(result.get("answers") or [], start=1):
@@ -41,7 +41,7 @@ def worksheet_page(result: Mapping[str, Any], student: str = "") -> str:
 
 
 def _cell(cell: Any, *, given: bool) -> str:
-    if given or isinstance(cell, str):
-        text = f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
+    if given or cell is None:  # where nothing can be found there is nothing to fill in
+        text = f"{cell:.4g}" if isinstance(cell, float) else "–" if cell is None else str(cell)
         return f"<td>{html.escape(text)}</td>"
     return '<td class="blank"></td>'
