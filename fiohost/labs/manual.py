@@ -50,7 +50,6 @@ WIRING = Table(
         ("encoder channel 1", None, None, "A8"),
         ("encoder channel 2", None, None, "A9"),
     ),
-    given=4,
 )
 
 
@@ -212,7 +211,7 @@ def _modes(forward: Branch, reverse: Branch, duty_pct: float, braked: Rest, coas
         [1, 1, "brake", 0.0, f"at rest after {braked.after_s:.2f} s and {braked.turned_deg:.0f} deg"],
         [0, 0, "standby", 0.0, f"at rest after {coasted.after_s:.2f} s and {coasted.turned_deg:.0f} deg"],
     ]
-    return Table("The direction bits", columns, rows, given=4)
+    return Table("The direction bits", columns, rows)
 
 
 def _on_modes(forward: Branch, reverse: Branch, duty_pct: float, braked: Rest, coasted: Rest) -> Answer:

@@ -17,19 +17,14 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table: column names with their units, and rows of cells (None: empty).
-
-    The first ``given`` columns say what was set or looked at; what stands in the others was found.
-    """
+    """A titled table: column names with their units, and rows of cells (None: empty)."""
 
     title: str
     columns: tuple[str, ...]
     rows: Sequence[Sequence[Cell]]
-    given: int = 1
 
     def to_json(self) -> dict[str, Any]:
-        rows = [list(row) for row in self.rows]
-        return {"title": self.title, "columns": list(self.columns), "rows": rows, "given": self.given}
+        return {"title": self.title, "columns": list(self.columns), "rows": [list(row) for row in self.rows]}
 
 
 @dataclass(frozen=True)
