@@ -30,7 +30,7 @@ def characterise(readings: Readings, L_H: float | None, target: str) -> LabResul
         rows.append([name, c.unit, c.value, c.low, c.high, c.n, text, differs])
     columns = ("constant", "unit", "found", "95 % from", "to", "readings", "text", "differs %")
     tables = [
-        Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows),
+        Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows, (0, 1, 6)),
         _powers(readings, found),
         *([_speed_torque(readings, found)] if len(readings.lift_speed) > 1 else []),
         gear_table(found),
@@ -143,7 +143,10 @@ def gear_table(found: Mapping[str, Constant]) -> Table:
     ]  # fmt: skip
     stages = ", ".join(f"{'/'.join(str(t) for t in teeth)} 1:{ratio}" for teeth, ratio in GEAR_STAGES)
     return Table(
-        f"Gear train 1:{GEAR_RATIO} (table D-1: {stages})", ("constant", "unit", "output shaft", "motor's shaft"), rows
+        f"Gear train 1:{GEAR_RATIO} (table D-1: {stages})",
+        ("constant", "unit", "output shaft", "motor's shaft"),
+        rows,
+        (0, 1),
     )
 
 

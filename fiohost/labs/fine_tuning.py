@@ -153,7 +153,8 @@ def _formulas(before: MotorConstants, after: MotorConstants, kp: float) -> Table
         ["rise (s)", "D-28", a.rise_s, b.rise_s],
         ["settling to 5 % (s)", "D-29", a.settling_5_s, b.settling_5_s],
     ]
-    return Table("The second-order loop by the text's formulas", ("figure", "Eq.", "before", "tuned"), rows)
+    columns = ("figure", "Eq.", "before", "tuned")
+    return Table("The second-order loop by the text's formulas", columns, rows, given=(0, 1))
 
 
 def _answers(
