@@ -15,7 +15,7 @@ import fiohost
 from fiohost.bench.seal import student_seed
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError
-from fiohost.labs.grade import grade
+from fiohost.labs.grade import Grade, all_named, grade, same_effect
 from fiohost.labs.questions import QUESTIONS
 from fiohost.labs.result import Answer, LabResult, Table
 from fiohost.motor.model import Model
@@ -161,3 +161,55 @@ def test_a_step_on_a_students_bench_is_that_students(tmp_path: Path) -> None:
                 "--report", tmp_path / "lab", "--json", "-")  # fmt: skip
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["target"] == "sim:sealed"
+
+
+def student_with(effect: str) -> str:
+    """A student whose bench lacks nothing but this effect."""
+    for number in range(2000):
+        truth = break_seal(student_seed(f"s{number}"))
+        if [name for name in truth["effects"] if name != "coulomb_friction"] == [effect]:
+            return f"s{number}"
+    raise AssertionError(effect)
+
+
+def test_another_name_for_the_same_friction_is_right_and_a_fresh_record_says_so_too(tmp_path: Path) -> None:
+    """Friction that differs by direction is its mean and a constant load: no log tells them apart."""
+    student = student_with("asymmetric_coulomb_friction")
+    reduced = break_seal(student_seed(student))["reduced"]
+    own = reduced["asymmetric_coulomb_friction"]
+    linear = {f"linear.{key}": value for key, value in reduced["linear"].items()}
+    level = reduced["coulomb_friction"]["level_pct"]  # what is in both directions
+
+    def handed_in(*effects: str, more: dict[str, float]) -> Grade:
+        path = tmp_path / f"{student}.toml"
+        path.unlink(missing_ok=True)
+        Model(effects, {**linear, **more}).write(path)
+        return grade(path)
+
+    mean, half = (
+        level + 0.5 * (own["forward_pct"] + own["reverse_pct"]),
+        0.5 * (own["forward_pct"] - own["reverse_pct"]),
+    )
+    loaded = {"coulomb_friction.level_pct": mean, "constant_load.level_pct": half}
+    total = {f"asymmetric_coulomb_friction.{way}": level + own[way] for way in ("forward_pct", "reverse_pct")}
+    for one, named in (
+        (handed_in("coulomb_friction", "constant_load", more=loaded), "constant_load"),
+        (handed_in("asymmetric_coulomb_friction", more=total), "asymmetric_coulomb_friction"),  # as diagnose writes it
+    ):
+        assert one.named == (named,)
+        assert one.effects_right
+        assert set(one.errors_pct or {}) >= {"friction_forward_pct", "friction_reverse_pct"}
+        assert max(abs(error) for error in (one.errors_pct or {}).values()) < 1e-6
+        assert one.fresh_rms_deg is not None
+        assert one.fresh_rms_deg < 0.2  # half a degree of count leaves 0.144
+    without = handed_in("coulomb_friction", more={"coulomb_friction.level_pct": mean})
+    assert not without.effects_right
+    assert without.fresh_rms_deg is not None
+    assert without.fresh_rms_deg > 0.4
+
+
+def test_cogging_is_gravity_once_a_turn_only() -> None:
+    assert same_effect("gravity_load", "cogging_torque", {"cogging_torque.order": 1.0})
+    assert not same_effect("gravity_load", "cogging_torque", {"cogging_torque.order": 4.0})
+    assert not all_named(("gravity_load",), ("gravity_load", "backlash"), {})
+    assert not all_named(("gravity_load", "backlash"), ("gravity_load", "gravity_load"), {})
