@@ -133,7 +133,7 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
         Asked(
             "section D-1-3",
             "Armature resistance from the stalled motor, and the inductance of its winding?",
-            ("How was each constant",),
+            ("What are resistance", "How was each constant"),
         ),
         Asked(
             "section D-1-4",
@@ -143,7 +143,7 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
         Asked(
             "section D-1-4, Figs. D-21 and D-22",
             "How does the speed fall with the load, and what does the friction do as the power rises?",
-            ("How does the speed fall",),
+            ("How does the speed fall", "What does the friction do"),
         ),
         Asked("section D-1-4, Fig. D-23", "Does the motor run down, input off, as the constants say?", ("Run-down",)),
     ),
