@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from fiohost.errors import ConfigError, DataError, FiohostError
 from fiohost.labs.characterise import characterise
 from fiohost.labs.constants import MotorConstants
 from fiohost.labs.measure import measure
+from fiohost.labs.questions import paired
 from fiohost.labs.readings import NoLoad, Readings
 from fiohost.labs.solve_constants import constants_of, predicted_run_down, solve
 
@@ -273,3 +275,23 @@ def test_without_any_reading_of_the_inductance_no_set_is_written(tmp_path: Path)
     )
     assert answer.exit_code == 0, answer.stderr
     assert MotorConstants.load(str(tmp_path / "m.toml")).L_H == 0.0047
+
+
+def test_what_the_text_asks_of_the_winding_and_of_the_friction_is_answered_in_numbers() -> None:
+    """Dry friction of 9 mN m and 0.00016 N m s: taken for viscous it falls with the power, as in Fig. D-22."""
+    readings = Readings.load(PRINTED)
+    readings.inductance_H = [0.0047]
+    speeds = [3.0, 6.5, 10.0, 13.5, 17.0]
+    currents = [(0.009 + 0.00016 * w) / 0.25 for w in speeds]
+    readings.no_load = [NoLoad(2.27 * i + 0.25 * w, w, i) for w, i in zip(speeds, currents, strict=True)]
+    result = characterise(readings, None, "readings")
+    told = {a.question: a.answer for a in result.answers}
+    assert "La = 4.7 mH, by a meter" in told["What are resistance and inductance of the winding?"]
+    assert "Ra = 2.2" in told["What are resistance and inductance of the winding?"]
+    friction = told["What does the friction do as the power rises (Fig. D-22)?"]
+    first, last = (float(x) for x in re.findall(r"([\d.]+) (?:N m s )?at", friction))
+    Ki = result.values["constants"]["Ki"]["value"]
+    assert (first, last) == pytest.approx((Ki * currents[0] / 3.0, Ki * currents[-1] / 17.0), rel=0.006)
+    assert "of dry friction" in friction
+    for item, found in paired(result).asked[:3]:
+        assert found, item.text

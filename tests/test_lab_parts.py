@@ -53,7 +53,18 @@ def test_the_inertia_of_the_board_is_found_by_its_position_response(tmp_path: Pa
     assert abs(found.J_kgm2 - 0.00273) < 0.00002
     assert found.B_Nms == TEXT["arm_measured"].B_Nms
     assert "text D-9, measured" in answer.stdout
+    assert "lacks something else" not in answer.stdout
     assert (tmp_path / "lab" / "fine_tuning.png").stat().st_size > 10_000
+
+
+def test_where_no_inertia_makes_the_model_follow_the_lab_says_so(tmp_path: Path) -> None:
+    """The default arm has dry friction: the best inertia is that of no arm, and leaves degrees."""
+    with Session.open("sim:nxt_lego_arm", "arm_measured", tmp_path, seed=1, saturation="half") as session:
+        found = fine_tuning(session)
+    assert found.values["rms_after_deg"] > 1.0
+    (answer,) = (a.answer for a in found.answers if a.question.startswith("Which J "))
+    assert "no J does it. The model lacks something else" in answer
+    assert found.tables[0].title == "The model with other J"
 
 
 def test_what_cannot_be_tuned_is_refused(tmp_path: Path) -> None:

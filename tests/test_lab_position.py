@@ -138,3 +138,15 @@ def test_step_19_follows_the_loop_until_it_has_settled(tmp_path: Path) -> None:
     assert last[4] == pytest.approx(exact.settling_5_s, abs=0.05)
     assert abs(last[5]) < 0.1
     assert last[6] >= 16.0
+
+
+@pytest.mark.parametrize(
+    ("more", "target"), [([], "sim:nxt_lego_arm"), (["--target", "sim:nxt_arm_tuned"], "sim:nxt_arm_tuned")]
+)
+def test_constants_of_the_arm_stand_beside_the_arm_unless_another_bench_is_named(
+    more: list[str], target: str, tmp_path: Path
+) -> None:
+    asked = ["lab", "open-loop-step", "--volts", "2", "--disturbance", "0", "--constants", "arm_tuned", "--no-diagnose"]
+    done = CliRunner().invoke(cli, [*asked, *more, "--report", str(tmp_path / "lab"), "--json", "-"])
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["target"] == target

@@ -33,13 +33,22 @@ def target_options(command: Command) -> Command:
         "--realtime-priority", is_flag=True, expose_value=False, callback=_priority, help=priority_help
     )(command)
     command = click.option("--seed", metavar="N", help=seed_help)(command)
-    command = click.option(
-        "--student", metavar="ID", is_eager=True, expose_value=False, callback=_student,
-        help="A sealed simulated board of that student's own, always the same one.",
-    )(command)  # fmt: skip
-    return click.option("--target", default="sim", show_default=True, metavar="T", help=target_help, callback=_target)(
-        command
-    )
+    return target_option("sim", target_help)(command)
+
+
+def target_option(default: str, text: str) -> Callable[[Command], Command]:
+    """Add ``--target`` with its default, and ``--student``, which stands for one; argument ``target``."""
+
+    def add(command: Command) -> Command:
+        command = click.option(
+            "--student", metavar="ID", is_eager=True, expose_value=False, callback=_student,
+            help="A sealed simulated board of that student's own, always the same one.",
+        )(command)  # fmt: skip
+        return click.option(
+            "--target", default=default, show_default=True, metavar="T", help=text, callback=_target
+        )(command)  # fmt: skip
+
+    return add
 
 
 def _student(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
@@ -54,7 +63,7 @@ def _target(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
     student = ctx.meta.get("student")
     if student is None:
         return value
-    if value not in ("sim", "sim:sealed"):
+    if value not in (parameter.default, "sim", "sim:sealed"):
         raise ConfigError(f"--student is a simulated board of its own: leave --target {value[:60]!r} away")
     return f"sim:student:{student}"
 

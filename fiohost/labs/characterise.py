@@ -30,13 +30,16 @@ def characterise(readings: Readings, L_H: float | None, target: str) -> LabResul
         rows.append([name, c.unit, c.value, c.low, c.high, c.n, text, differs])
     columns = ("constant", "unit", "found", "95 % from", "to", "readings", "text", "differs %")
     tables = [
-        Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows),
+        Table(f"Constants at the output shaft, motor port {readings.port}", columns, rows, (0, 1, 6)),
         _powers(readings, found),
         *([_speed_torque(readings, found)] if len(readings.lift_speed) > 1 else []),
         gear_table(found),
     ]
     why = "; ".join(f"{name}: {text}" for name, text in _why(found, lines, readings).items())
-    answers = [Answer("How was each constant found, and where would the text's way have led?", why)]
+    answers = [
+        _winding_answer(found, readings),
+        Answer("How was each constant found, and where would the text's way have led?", why),
+    ]
     values = {name: {"value": c.value, "unit": c.unit, "ci95": [c.low, c.high], "readings": c.n, "text": TEXT.get(name)}
               for name, c in found.items()}  # fmt: skip
     if readings.run_down and "J" in found:
@@ -44,6 +47,7 @@ def characterise(readings: Readings, L_H: float | None, target: str) -> LabResul
     answers.append(_check_constants(found))
     if len(readings.lift_speed) > 1:
         answers.append(_speed_torque_answer(readings, found))
+    answers += _power_answer(readings, found)
     notes = []
     if abs(readings.supply_V - TEXT_FULL_V) > 0.01:
         notes.append(f"full duty is {readings.supply_V:g} V here and {TEXT_FULL_V:g} V in the text: another supply, or "
@@ -88,6 +92,34 @@ def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dic
         there = "" if is_there(found["Tc"]) else " (none to be seen)"
         why["Tc"] = f"dry friction, the rest of Ki i at no speed{there}; the text has it in B"
     return why
+
+
+def _winding_answer(found: Mapping[str, Constant], readings: Readings) -> Answer:
+    told = f"Ra = {_interval(found['Ra'])} ohm, from {len(readings.stall)} stalls (Eq. D-2)"
+    if "La" in found:
+        told += f"; La = {1e3 * found['La'].value:.3g} mH, {_why_La(readings)}; La/Ra = "
+        told += f"{1e3 * found['La'].value / found['Ra'].value:.2f} ms"
+    return Answer("What are resistance and inductance of the winding?", told)
+
+
+def _interval(c: Constant) -> str:
+    return f"{c.value:.4g}" if c.low is None or c.high is None else f"{c.value:.4g} ({c.low:.4g} to {c.high:.4g})"
+
+
+def _power_answer(readings: Readings, found: Mapping[str, Constant]) -> list[Answer]:
+    """Fig. D-22 in words, where more than one power was read."""
+    rows = sorted(
+        (100.0 * abs(r.voltage_V) / readings.supply_V, found["Ki"].value * r.current_A / r.speed_rad_s)
+        for r in readings.no_load if r.current_A is not None
+    )  # fmt: skip
+    if len(rows) < 2:
+        return []
+    (low, first), (high, last) = rows[0], rows[-1]
+    told = f"taken for viscous it is {first:.3g} N m s at {low:.0f} % and {last:.3g} at {high:.0f} %"
+    if "Tc" in found and is_there(found["Tc"]):
+        told += f": {found['B'].value:.3g} N m s are viscous, and {found['Tc'].value:.3g} N m of dry friction, which "
+        told += "is the same at every speed, count for less as the shaft gets faster"
+    return [Answer("What does the friction do as the power rises (Fig. D-22)?", told)]
 
 
 def _why_La(readings: Readings) -> str:
@@ -143,7 +175,10 @@ def gear_table(found: Mapping[str, Constant]) -> Table:
     ]  # fmt: skip
     stages = ", ".join(f"{'/'.join(str(t) for t in teeth)} 1:{ratio}" for teeth, ratio in GEAR_STAGES)
     return Table(
-        f"Gear train 1:{GEAR_RATIO} (table D-1: {stages})", ("constant", "unit", "output shaft", "motor's shaft"), rows
+        f"Gear train 1:{GEAR_RATIO} (table D-1: {stages})",
+        ("constant", "unit", "output shaft", "motor's shaft"),
+        rows,
+        (0, 1),
     )
 
 

@@ -134,7 +134,7 @@ def _result(bench: Bench, found: Design, squares: Sequence[Both], files: Mapping
         target=bench.transport.name,
         tables=(
             Table("The controller", ("setting", "value"), gain_rows),
-            Table(f"Worst of {len(squares[0].measured_steps)} steps of each square", tuple(columns), rows),
+            Table(f"Worst of {len(squares[0].measured_steps)} steps of each square", tuple(columns), rows, (0, 1)),
         ),
         answers=_answers(found, squares, met),
         notes=tuple(found.notes),

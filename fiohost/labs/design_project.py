@@ -187,7 +187,10 @@ def design_project(session: Session, task: Task, gains: Gains | None = None, ani
         title=f"Design project: drop the payload at {task.angle_deg:g} deg",
         target=session.target,
         tables=(
-            Table(f"Cup at {task.angle_deg:g} deg, {1e3 * task.cup_radius_m:g} mm to its rim", _COLUMNS, rows), others
+            Table(
+                f"Cup at {task.angle_deg:g} deg, {1e3 * task.cup_radius_m:g} mm to its rim", _COLUMNS, rows, _GIVEN
+            ),
+            others,
         ),
         answers=(
             Answer("How fast and how well does the arm drop the payload?", told),
@@ -231,6 +234,7 @@ def _model(session: Session, gains: Gains, task: Task) -> Run:
 
 _COLUMNS = ("case", "controller", "who", "overshoot deg", "settled s", "lets go s", "at deg", "at rad/s",
             "miss mm", "in cup", "all s")  # fmt: skip
+_GIVEN = (0, 2)
 
 
 def _row(name: str, gains: Gains, run: Run, drop: Drop | None, task: Task) -> list[Cell]:
@@ -249,7 +253,7 @@ def _others(session: Session, gains: Gains, task: Task) -> Table:
         there = replace(task, angle_deg=angle)
         run = session.on_target(f"arm_{angle:+g}".replace("+", "plus").replace("-", "minus"), _law(gains, there), RUN_S)
         rows.append(_row(f"{angle:+g} deg", gains, run, drop_of(run, there), there))
-    return Table("The same controller at other places of the cup, target", _COLUMNS, rows)
+    return Table("The same controller at other places of the cup, target", _COLUMNS, rows, _GIVEN)
 
 
 def _judge(run: Run, drop: Drop | None, task: Task) -> tuple[bool, str]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RUN_S = 2.0
+MUCH = 4.0  # times what counts leave: more than a finer tuning would take
 TUNED = {"J": ("J_kgm2",), "B": ("B_Nms",), "both": ("J_kgm2", "B_Nms")}
 FACTORS = (0.7, 0.8, 0.9, 1.1, 1.2)  # of what was measured, shown beside
 SMALL_GAINS = (0.67, 1.0, 1.67)  # times the gain: how far the small steps go
@@ -113,8 +114,8 @@ def fine_tuning(session: Session, kp: float = 3.0, step_deg: float = 160.0, tune
         name="fine-tuning",
         title=f"Fine-tuning by the position response, Kp {kp:g}, {step_deg:g} deg",
         target=session.target,
-        tables=(Table(f"The model with other {' and '.join(TUNED[tuned])}", _COLUMNS, rows), _formulas(q, chosen, kp)),
-        answers=_answers(q, chosen, kp, tuned, runs, target),
+        tables=(Table(f"The model with other {_letters(tuned)}", _COLUMNS, rows), _formulas(q, chosen, kp)),
+        answers=_answers(q, chosen, kp, tuned, runs, target, session.way.quantum_deg / math.sqrt(12.0)),
         notes=tuple(session.notes),
         values={
             "tuned": tuned, "J_kgm2": chosen.J_kgm2, "B_Nms": chosen.B_Nms, "rms_before_deg": distance_deg(
@@ -153,22 +154,32 @@ def _formulas(before: MotorConstants, after: MotorConstants, kp: float) -> Table
         ["rise (s)", "D-28", a.rise_s, b.rise_s],
         ["settling to 5 % (s)", "D-29", a.settling_5_s, b.settling_5_s],
     ]
-    return Table("The second-order loop by the text's formulas", ("figure", "Eq.", "before", "tuned"), rows)
+    columns = ("figure", "Eq.", "before", "tuned")
+    return Table("The second-order loop by the text's formulas", columns, rows, given=(0, 1))
+
+
+def _letters(tuned: str) -> str:
+    return "J and B" if tuned == "both" else tuned
 
 
 def _answers(
-    q: MotorConstants, chosen: MotorConstants, kp: float, tuned: str, runs: dict[str, Run], target: Run
-) -> tuple[Answer, ...]:
+    q: MotorConstants, chosen: MotorConstants, kp: float, tuned: str, runs: dict[str, Run], target: Run,
+    counts_deg: float,
+) -> tuple[Answer, ...]:  # fmt: skip
     a, b = second_order(q, kp), second_order(chosen, kp)
     before, after = distance_deg(runs["1 times"], target), distance_deg(runs["best"], target)
     names = {"J": f"J = {chosen.J_kgm2:.5f} kg m2 (measured: {q.J_kgm2:.5f})",
              "B": f"B = {chosen.B_Nms:.5f} N m s (measured: {q.B_Nms:.5f})"}  # fmt: skip
     found = names.get(tuned) or " and ".join(names.values())
+    rest = (
+        f". Counts would leave {counts_deg:.2f}: no {_letters(tuned)} does it. The model lacks something else, for "
+        "which the tuned one stands in"
+    ) if after > MUCH * counts_deg else ""  # fmt: skip
     way = "left" if b.zeta * b.omega_n_rad_s > a.zeta * a.omega_n_rad_s else "right"
     return (
         Answer(
-            f"Which {tuned if tuned != 'both' else 'J and B'} makes the model follow the target?",
-            f"{found}: the responses then differ by {after:.2f} deg rms instead of {before:.2f}",
+            f"Which {_letters(tuned)} makes the model follow the target?",
+            f"{found}: the responses then differ by {after:.2f} deg rms instead of {before:.2f}{rest}",
         ),
         Answer(
             "Where do the poles go?",

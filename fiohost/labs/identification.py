@@ -184,16 +184,20 @@ def _result(
         "simulated_with_friction": {name: _brief(one) for name, one in found.with_friction.items()},
         "simulated_without": {name: _brief(one) for name, one in found.without.items()},
     }  # fmt: skip
+    figures = _step_table(log, control)
     return LabResult(
         name="identification",
         title=f"Closed-loop identification, square {LOW_DEG:g}/{HIGH_DEG:g} deg, period {PERIOD_S:g} s, C(s) = {KP:g}",
         target=bench.transport.name,
         tables=(
-            _step_table(log, control),
+            figures,
             Table("K and tau of the motor, +- half a 95 % interval", columns, rows),
-            Table("What both methods find on the simulated loop of the fit with friction", loops, simulated),
+            Table("What both methods find on the simulated loop of the fit with friction", loops, simulated, (0, 1)),
         ),
-        answers=_answers(control, found, level, gain.value, tau.value, log),
+        answers=(
+            *_said_by_steps(figures, found),
+            *_answers(control, found, level, gain.value, tau.value, log),
+        ),
         notes=_notes(log, known, found),
         values=values,
         figures={"identification": lambda: _plot(log, found)},
@@ -227,6 +231,23 @@ def _step_table(log: Log, control: ControlSettings) -> Table:
         spread = float(values.std(ddof=1)) if values.size > 1 else None
         rows.append((label, float(values.mean()), spread, float(values.min()), float(values.max())))
     return Table(f"Figures of {len(steps)} steps", ("figure", "mean", "spread", "smallest", "largest"), rows)
+
+
+def _said_by_steps(figures: Table, found: Found) -> tuple[Answer, ...]:
+    """The text's blanks of step 2, where the step figures can be used."""
+    if "step" not in found.measured:
+        return ()
+    mean = {str(row[0]): float(row[1] or 0.0) for row in figures.rows}
+    step = found.measured["step"]
+    return (
+        Answer(
+            "What do the figures of the step say?",
+            f"Overshoot {mean['overshoot (%)']:.1f} %, rise {mean['rise 10-90 % (s)']:.3f} s, settling "
+            f"{mean['settling 2 % (s)']:.3f} s (2 %). Overshoot and peak time say zeta = {step.value(ZETA):.3f} and "
+            f"omega_n = {step.value(OMEGA):.2f} rad/s, so tau = 1/(2 zeta omega_n) = {step.value(TAU):.4f} s and "
+            f"K = omega_n/(2 zeta) = {step.value(GAIN):.2f} deg/s per % (Eq. 2.7, C(s) = {KP:g}).",
+        ),
+    )
 
 
 def _answers(
@@ -286,7 +307,8 @@ def _difference(found: Found) -> str:
     apart = [names[name] for name in names if not _overlap(step, pem, name)]
     meet = f"The 95 % intervals of {', '.join(apart)} do not meet" if apart else "The 95 % intervals meet"
     return (
-        f"K is {_change(step.value(GAIN), pem.value(GAIN))} by the steps than by the fit, tau "
+        f"By the steps K = {step.value(GAIN):.2f} deg/s per % and tau = {step.value(TAU):.4f} s, by the fit "
+        f"{pem.value(GAIN):.2f} and {pem.value(TAU):.4f} s: K is {_change(step.value(GAIN), pem.value(GAIN))}, tau "
         f"{_change(step.value(TAU), pem.value(TAU))}. {meet}: they say how well the run repeats and what counts "
         "leave open, and hold nothing of what the form lacks."
     )

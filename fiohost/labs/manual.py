@@ -50,6 +50,7 @@ WIRING = Table(
         ("encoder channel 1", None, None, "A8"),
         ("encoder channel 2", None, None, "A9"),
     ),
+    given=(0, 1, 2, 3),
 )
 
 
@@ -211,7 +212,7 @@ def _modes(forward: Branch, reverse: Branch, duty_pct: float, braked: Rest, coas
         [1, 1, "brake", 0.0, f"at rest after {braked.after_s:.2f} s and {braked.turned_deg:.0f} deg"],
         [0, 0, "standby", 0.0, f"at rest after {coasted.after_s:.2f} s and {coasted.turned_deg:.0f} deg"],
     ]
-    return Table("The direction bits", columns, rows)
+    return Table("The direction bits", columns, rows, given=(0, 1, 3))
 
 
 def _on_modes(forward: Branch, reverse: Branch, duty_pct: float, braked: Rest, coasted: Rest) -> Answer:

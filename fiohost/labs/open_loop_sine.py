@@ -62,12 +62,13 @@ def first_harmonic(time_s: np.ndarray, y: np.ndarray, omega: float) -> tuple[com
     return complex(found[1], found[2]), y - basis[:, :3] @ found[:3]
 
 
-def drift_per_s(time_s: np.ndarray, y: np.ndarray, period_s: float) -> float:
+def drift_per_s(time_s: np.ndarray, y: np.ndarray, period_s: float, from_s: float) -> float:
     """How fast a periodic movement drifts, from what a whole period changes: no harmonic counts for drift.
 
     A slope beside the sine over one period would take from all of them, as its own harmonics fall as slowly as 1/n.
+    Moments from ``from_s`` on are compared with those a period before, where there are any.
     """
-    later = time_s >= time_s[0] + period_s - 1e-9
+    later = time_s >= max(time_s[0] + period_s, from_s) - 1e-9
     if not later.any():
         later = time_s >= time_s[-1]
     before = np.interp(time_s[later] - period_s, time_s, y)
@@ -100,7 +101,9 @@ def asked_sine(time_s: np.ndarray, volts_in: np.ndarray, omega: float) -> tuple[
 def gain_and_phase(
     time_s: np.ndarray, volts_in: np.ndarray, angle_deg: np.ndarray, omega: float, acts_after_s: float
 ) -> Response:
-    """Gain and phase from the voltage asked for to the speed, over the last whole periods of a run.
+    """Gain and phase from the voltage asked for to the speed, over the later half of a run's whole periods.
+
+    Where a current is at its limit, little but friction damps what is left of the start: the first half is for that.
 
     ``acts_after_s`` passes from a row until its voltage acts; a held voltage acts as the sine half a sample later,
     which is taken off too. The speed is the derivative of the angle's own first harmonic, so no count is ever
@@ -112,10 +115,11 @@ def gain_and_phase(
     periods = math.floor((time_s[-1] - time_s[0] - SETTLE_S) / period + 1e-6)
     if periods < 1:
         raise DataError(f"the run is too short for a whole period at {omega:g} rad/s after {SETTLE_S:g} s of settling")
-    keep = time_s > time_s[-1] - periods * period - 0.5 * step
+    begin_s = float(time_s[-1]) - (periods - periods // 2) * period
+    keep = time_s > begin_s - 0.5 * step
     sent, cut = asked_sine(time_s[keep] + acts_after_s + 0.5 * step, volts_in[keep], omega)
     angle = np.radians(angle_deg)
-    drift = drift_per_s(time_s[settled], angle[settled], period)
+    drift = drift_per_s(time_s[settled], angle[settled], period, begin_s)
     turned, rest = first_harmonic(time_s[keep], (angle - drift * time_s)[keep], omega)
     speed = turned * complex(0.0, omega)
     ratio = speed / sent
@@ -149,7 +153,7 @@ def calculator(log: Log, omega: float, q: MotorConstants, full_V: float) -> LabR
         name="open-loop-sine",
         title=f"Gain and phase at {omega:g} rad/s of {log.path}",
         target=log.metadata.get("target", "a log"),
-        tables=(Table("Gain and phase calculator", _COLUMNS, [row]),),
+        tables=(Table("Gain and phase calculator", _COLUMNS, [row], (0, 1)),),
         notes=(
             f"the command stood at its limit {found.cut_pct:.0f} % of the time: gain and phase are against the sine of "
             f"{found.input_V:.3g} V that was asked for, found from the rest",
@@ -202,9 +206,12 @@ def open_loop_sine(
         title="Open-loop sine: frequency response from voltage to speed",
         target=session.target,
         tables=(
-            Table(f"Amplitude {small_V:g} V", _COLUMNS, rows),
+            Table(f"Amplitude {small_V:g} V", _COLUMNS, rows, (0, 1)),
             Table(
-                f"Amplitude {large_V:g} V: the amplifier saturates; gain of the first harmonic", _COLUMNS, rows_large
+                f"Amplitude {large_V:g} V: the amplifier saturates; gain of the first harmonic",
+                _COLUMNS,
+                rows_large,
+                (0, 1),
             ),
         ),
         answers=(_step_9(small, q), _step_10(large, large_V, session)),

@@ -102,7 +102,7 @@ def open_loop_step(
                          inertia_from(q, fit.tau_s, B), peak])  # fmt: skip
     columns = ("V", "who", "steady rad/s", "Eq. 7-15 rad/s", "63.2 % at s", "fitted tau s", "B Eq. D-8 N m s",
                "J Eq. D-13 kg m2", "peak A")  # fmt: skip
-    answers, tables, pressed = [_step_1(levels_V, fits, q)], [Table("Steps of voltage", columns, rows)], None
+    answers, tables, pressed = [_step_1(levels_V, fits, q)], [Table("Steps of voltage", columns, rows, (0, 1))], None
     found_2, table_2 = _friction_sweep(session)
     answers += [found_2, _half_speed(session)]
     tables.append(table_2)
@@ -155,7 +155,8 @@ def _friction_sweep(session: Session, volt: float = 2.0) -> tuple[Answer, Table]
         f"the motor's B, and the lag with it, from {1e3 * low[3]:.1f} to {1e3 * high[3]:.1f} ms: both are divided by "
         "Ki Kb + Ra B",
     )
-    return answer, Table(f"Friction, model without limits, {volt:g} V", ("times B", "B N m s", "rad/s", "tau s"), rows)
+    columns = ("times B", "B N m s", "rad/s", "tau s")
+    return answer, Table(f"Friction, model without limits, {volt:g} V", columns, rows, given=(0, 1))
 
 
 def _half_speed(session: Session, volt: float = 2.0) -> Answer:

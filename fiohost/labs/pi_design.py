@@ -130,7 +130,7 @@ class Designed:
             asked = f"no PI gives {d.asked_overshoot_pct:g} % and {d.asked_rise_s:g} s on this motor"
             rows = [[asked, *[None] * (len(columns) - 1)],
                     [f"nearest: {d.gains}", None, "ideal", d.overshoot_pct, d.rise_s, None, None, None]]  # fmt: skip
-        return Table("The PI design", columns, rows)
+        return Table("The PI design", columns, rows, given=(0, 2) if d.met else ())
 
     def step_21(self) -> Answer:
         d = self.design

@@ -124,7 +124,7 @@ def _proportional(session: Session, runs: dict[float, Trio], to: float) -> Table
             for text in position_rows(session.constants, session.limits.volts, to, kp)
         ]
     columns = ("Kp V/rad", "who", "overshoot %", "rise s", "settling 5 % s", "error deg", "peak V")
-    return Table(f"Proportional position control, {to:g} deg", columns, rows)
+    return Table(f"Proportional position control, {to:g} deg", columns, rows, given=(0, 1))
 
 
 def _step_16(runs: dict[float, Trio], to: float) -> Answer:
@@ -175,7 +175,7 @@ def _pressed_table(pressed: list[tuple[Gains, Trio]], to: float, torque: Torque)
             rows.append([str(gains), run.name, f.overshoot_pct, f.settling_5_s, *_pushed(run, to, torque)])
     columns = ("controller", "who", "overshoot %", "settling 5 % s", "error before deg", "pushed by deg",
                "error at end deg")  # fmt: skip
-    return Table(f"Disturbance of {torque.torque_Nm:g} N m at {torque.at_s:g} s", columns, rows)
+    return Table(f"Disturbance of {torque.torque_Nm:g} N m at {torque.at_s:g} s", columns, rows, given=(0, 1))
 
 
 def _steps_17_18(
@@ -238,7 +238,7 @@ def _inertia(session: Session, plan: PositionPlan) -> tuple[Answer, Table]:
         )
     answer = Answer(f"Step 19. More inertia under PI ({gains})", told)
     columns = ("times J", "J kg m2", "overshoot %", "rise s", "settling 5 % s", "error at end deg", "followed s")
-    return answer, Table(f"Inertia under PI, ideal model, {gains}", columns, rows)
+    return answer, Table(f"Inertia under PI, ideal model, {gains}", columns, rows, given=(0, 1))
 
 
 def _until_it_rests(session: Session, law: MakeLaw, q: MotorConstants, to: float) -> tuple[Run, bool]:

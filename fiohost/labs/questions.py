@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fiohost.labs.result import Answer, LabResult
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -103,13 +105,13 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
         Asked(
             "INC451, section 2.4.2.2, step 2",
             "Overshoot, rise and settling time of the step, and the natural frequency and damping that they say?",
-            ("How do the two methods",),
+            ("What do the figures of the step",),
         ),
         Asked(
             "INC451, section 2.4.2.2, steps 2 and 3",
             "Gain and time constant of the motor, from the figures of the step "
             "and from a fit of the whole response: how far are they apart, and why?",
-            ("Why: friction", "Why: the time"),
+            ("How do the two methods", "Why: friction", "Why: the time"),
         ),
         Asked("INC451, section 2.4.2.2, step 3", "Which of the two would you design with?", ("Which model",)),
     ),
@@ -131,7 +133,7 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
         Asked(
             "section D-1-3",
             "Armature resistance from the stalled motor, and the inductance of its winding?",
-            ("How was each constant",),
+            ("What are resistance", "How was each constant"),
         ),
         Asked(
             "section D-1-4",
@@ -141,7 +143,7 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
         Asked(
             "section D-1-4, Figs. D-21 and D-22",
             "How does the speed fall with the load, and what does the friction do as the power rises?",
-            ("How does the speed fall",),
+            ("How does the speed fall", "What does the friction do"),
         ),
         Asked("section D-1-4, Fig. D-23", "Does the motor run down, input off, as the constants say?", ("Run-down",)),
     ),
@@ -211,6 +213,19 @@ QUESTIONS: dict[str, tuple[Asked, ...]] = {
 }
 
 
-def questions_of(lab: str) -> tuple[Asked, ...]:
-    """The questions of a lab by its name; a problem's are in its own answers."""
-    return QUESTIONS.get(lab, ())
+@dataclass(frozen=True)
+class Paired:
+    """The text's questions, each with the answers of a run, and the answers that belong to none of them."""
+
+    asked: tuple[tuple[Asked, tuple[Answer, ...]], ...]
+    others: tuple[Answer, ...]
+
+
+def paired(result: LabResult) -> Paired:
+    """A lab's questions and its answers side by side; a problem has its questions in its own answers."""
+    asked = tuple(
+        (item, tuple(a for a in result.answers if item.answers and a.question.startswith(item.answers)))
+        for item in QUESTIONS.get(result.name, ())
+    )
+    used = {answer.question for _, found in asked for answer in found}
+    return Paired(asked, tuple(a for a in result.answers if a.question not in used))

@@ -17,11 +17,16 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table: column names with their units, and rows of cells (None: empty)."""
+    """A titled table: column names with their units, and rows of cells (None: empty).
+
+    ``given`` are the places of the columns that are known before anything is done, such as a gain that is set: what a
+    worksheet shows of the table. The title holds nothing that is found.
+    """
 
     title: str
     columns: tuple[str, ...]
     rows: Sequence[Sequence[Cell]]
+    given: tuple[int, ...] = (0,)
 
     def to_json(self) -> dict[str, Any]:
         return {"title": self.title, "columns": list(self.columns), "rows": [list(row) for row in self.rows]}

@@ -41,6 +41,12 @@ SATURATION = {
     "half": Limits(2.25, 1.0),  # half of the full voltage, for the arm (section D-1-6)
     "none": NO_LIMITS,
 }
+BENCHES = {  # beside each set of the text, the board that is to it what a bench is to its model
+    "no_load": "sim:nxt_lego",
+    "arm_measured": "sim:nxt_lego_arm",
+    "arm_tuned": "sim:nxt_lego_arm",
+    "elevator": "sim:nxt_lego_elevator",
+}
 DERIVATIVE_FILTER_S = 0.01  # a count in one tick of 5 ms is 100 deg/s
 MakeLaw = Callable[[Way, float], Law]  # the way, and percent for a volt
 

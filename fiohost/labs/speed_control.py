@@ -54,7 +54,7 @@ def speed_control(
             rows.append([kp, ref, run.name, found.final, 100.0 * found.final / ref, share, found.overshoot_pct,
                          found.rise_s, float(np.max(np.abs(run.volts)))])  # fmt: skip
     columns = ("Kp", "ref rad/s", "who", "final rad/s", "of ref %", "formula %", "overshoot %", "rise s", "peak V")
-    tables = [Table("Proportional speed control (Kp in V per rad/s)", columns, rows)]
+    tables = [Table("Proportional speed control (Kp in V per rad/s)", columns, rows, (0, 1, 2))]
     first = refs[0]
     finals = {kp: [figures_of(run, first).final for run in runs[kp, first]] for kp in gains}
     gear_answer, gear_table = _gear(session, gains, first, gear_load_kgm2)
@@ -113,7 +113,7 @@ def _gear(session: Session, gains: Sequence[float], ref: float, load: float) -> 
         f"{1e3 * float(a[6] or 0):.0f}, the final speed stays {b[4]:.2f} rad/s, {b[5]:.3f} rad/s behind the gear",
     )
     columns = ("Kp", "who", "J kg m2", "tau_m s", "final rad/s", "behind gear rad/s", "rise s")
-    return answer, Table(f"Gear head of 1:{GEAR_RATIO:g}, ideal model, {ref:g} rad/s", columns, rows)
+    return answer, Table(f"Gear head of 1:{GEAR_RATIO:g}, ideal model, {ref:g} rad/s", columns, rows, (0, 1))
 
 
 def _step_13(finals: dict[float, list[float]], ref: float) -> Answer:
@@ -199,7 +199,7 @@ def _pressed(
         f"{rows[5][5]:.2f} rad/s",
     )
     columns = ("controller", "who", "before rad/s", "after rad/s", "change rad/s", "error rad/s")
-    return answer, Table("Disturbance under speed control", columns, rows), trios
+    return answer, Table("Disturbance under speed control", columns, rows, (0, 1)), trios
 
 
 def _draw(

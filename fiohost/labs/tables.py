@@ -114,7 +114,7 @@ def row_table(told: Mapping[str, Any], name: str) -> Table:
         for figure, f in row["figures"].items():
             label = f"{figure_words(figure)} ({f['unit']})" if f["unit"] else figure_words(figure)
             rows.append([str(row["row"]), label, f["measured"], f["before"], f["after"]])
-    return Table(f"Readings of {name}", ("row", "figure", "measured", "before", "after"), rows)
+    return Table(f"Readings of {name}", ("row", "figure", "measured", "before", "after"), rows, given=(0, 1, 2))
 
 
 def worth_text(judged: Judged, w: Worth) -> str:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jinja2
 
 from fiohost import __version__
 from fiohost.files import write_output
-from fiohost.labs.questions import questions_of
+from fiohost.labs.questions import paired
 from fiohost.report.page import STYLE
 
 if TYPE_CHECKING:
@@ -32,18 +32,13 @@ def render_lab(result: LabResult, pictures: Mapping[str, bytes], files: Mapping[
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["cell"] = cell_text
-    asked: list[dict[str, Any]] = []
-    used: set[str] = set()
-    for item in questions_of(result.name):
-        found = [a for a in result.answers if item.answers and a.question.startswith(item.answers)]
-        used |= {a.question for a in found}
-        asked.append({"where": item.where, "text": item.text, "found": found})
+    pairs = paired(result)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         result=result,
         style=STYLE.read_text(encoding="utf-8"),
         version=__version__,
-        asked=asked,
-        others=[a for a in result.answers if a.question not in used],
+        asked=pairs.asked,
+        others=pairs.others,
         pictures=[(name, base64.b64encode(data).decode("ascii")) for name, data in pictures.items()],
         files=files,
         numbers=_numbers,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_seed, wire_options
+from fiohost.cli.options import parse_number, parse_seed, target_option, wire_options
 from fiohost.cli.output import output_for
 from fiohost.cli.progress import progress
 from fiohost.files import claim
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option("--readings", "readings_from", metavar="F", help="Readings in TOML or CSV; without, virtual meters read.")
-@click.option("--target", default="sim:nxt_lego", show_default=True, metavar="T", help="The board to read at.")
+@target_option("sim:nxt_lego", "The board to read at.")
 @click.option("--seed", metavar="N", help="How the shaft of a simulated board starts.")
 @wire_options
 @click.option(

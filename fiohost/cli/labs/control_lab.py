@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_numbers, parse_seed, wire_options
+from fiohost.cli.options import parse_number, parse_numbers, parse_seed, target_option, wire_options
 from fiohost.cli.output import output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -35,7 +36,7 @@ def bench_options(target: str, constants: str, saturation: str = "both") -> Call
             click.option("--constants", default=constants, show_default=True, metavar="SET|FILE",
                          help="The motor's constants: no_load, arm_measured, arm_tuned, elevator, or a file."),
             click.option("--seed", metavar="N", help="How the shaft of a simulated board starts."),
-            click.option("--target", default=target, show_default=True, metavar="T", help="The bench."),
+            target_option(target, "The bench; without it, another set of --constants has its own."),
         ):  # fmt: skip
             command = option(command)
         return result_options(wire_options(command))
@@ -64,14 +65,17 @@ def _torque(disturbance: str, at: str) -> Torque | None:
 
 def _do(options: dict[str, Any], experiment: Callable[[Session], LabResult]) -> None:
     """Open the bench, do the experiment, show what it gave."""
-    from fiohost.labs.session import Session
+    from fiohost.labs.session import BENCHES, Session
 
     out = output_for(options["json_to"])
+    context, target = click.get_current_context(), options["target"]
+    if context.get_parameter_source("target") is ParameterSource.DEFAULT and "student" not in context.meta:
+        target = BENCHES.get(options["constants"], target)
     folder = report_folder(options["report"])
     seed = parse_seed(options["seed"])
     with progress() as doing:
         with Session.open(
-            options["target"], options["constants"], folder, seed=seed, saturation=options["saturation"], said=doing
+            target, options["constants"], folder, seed=seed, saturation=options["saturation"], said=doing
         ) as session:
             result = experiment(session)
             model, amperes = session.constants.model(), session.bench_limits.amperes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fiohost.cli.labs.present import present, report_folder, result_options
-from fiohost.cli.options import parse_number, parse_seed, wire_options
+from fiohost.cli.options import parse_number, parse_seed, target_option, wire_options
 from fiohost.cli.output import Output, output_for
 from fiohost.cli.progress import progress
 from fiohost.errors import ConfigError
@@ -22,9 +22,7 @@ MOST_RUNS = 20  # of a list of gains
 
 
 @click.command()
-@click.option(
-    "--target", default="sim:nxt_lego_elevator", show_default=True, metavar="T", help="The bench with the car."
-)
+@target_option("sim:nxt_lego_elevator", "The bench with the car.")
 @click.option(
     "--diagnose/--no-diagnose",
     "name_it",

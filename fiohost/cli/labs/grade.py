@@ -10,6 +10,7 @@ import click
 
 from fiohost.cli.options import PATH, parse_number
 from fiohost.cli.output import json_option, output_for
+from fiohost.cli.progress import progress
 from fiohost.files import claim, write_output
 
 
@@ -24,8 +25,8 @@ def grade(folder: Path, tolerance: str, output: Path | None, json_to: str | None
     """For teachers: compare the models in FOLDER with the sealed benches of the students that they are named after.
 
     Every student drives a bench of their own (--student ID), finds its model, and hands it in as ID.toml, made by
-    identify or diagnose with --save-model. The table says what each bench had, what was named, and how far the
-    parameters are off; it is for you alone.
+    identify or diagnose with --save-model. The table says what each bench had, what was named, how far the parameters
+    are off, and how far the model is from a fresh record of the bench; it is for you alone.
 
     \b
     Example:
@@ -39,8 +40,10 @@ def grade(folder: Path, tolerance: str, output: Path | None, json_to: str | None
         claim(output)
     from fiohost.labs.grade import grade_folder
 
-    grades = grade_folder(folder)
-    head = ("student", "effects of the bench", "named", "right", f"parameters within {allowed:g} %", "largest error")
+    with progress() as doing:
+        grades = grade_folder(folder, doing)
+    head = ("student", "effects of the bench", "named", "right", f"parameters within {allowed:g} %", "fresh record",
+            "largest error")  # fmt: skip
     rows = []
     for one in grades:
         errors = one.errors_pct or {}
@@ -52,6 +55,7 @@ def grade(folder: Path, tolerance: str, output: Path | None, json_to: str | None
                 ", ".join(one.named) or ("-" if one.problem else "none"),
                 "yes" if one.effects_right else "no",
                 f"{one.within(allowed)} of {len(errors)}",
+                "" if one.fresh_rms_deg is None else f"{one.fresh_rms_deg:.3g} deg rms",
                 one.problem or (f"{worst} {errors[worst]:+.1f} %" if worst else ""),
             )
         )

@@ -67,7 +67,7 @@ def _write_worksheet(result: LabResult, out: Output, meta: dict[str, Any]) -> No
     if out.json_to is not None:
         raise ConfigError("a worksheet has no answers, so there is no --json beside it; --answers FILE writes them")
     student = str(meta.get("student") or "")
-    files.write_output(meta["worksheet"], worksheet_page(plain(result.to_json()), student))
+    files.write_output(meta["worksheet"], worksheet_page(result, student))
     out(f"{result.title}: worksheet in {meta['worksheet']}")
     if meta.get("answers"):
         told = {**result.to_json(), "student": student}

@@ -98,7 +98,7 @@ def experiment(bench: Bench, plan: Plan, folder: Path, said: Callable[[str], Non
             f"PD control, kp {plan.derivative_with:g} (section D-2-5)",
             {f"kd {kd:g}": Design(plan.derivative_with, kd_V_s_per_rad=kd) for kd in plan.derivative_gains},
         ),
-        Series("found", f"Found on the model: {found.label}" if found else "", {"found": found} if found else {}),
+        Series("found", "Found on the model", {"found": found} if found else {}),
     ]
     files = {}
     for part in series:

@@ -60,4 +60,4 @@ def parts_table(parts: Parts = Parts()) -> Table:
         ["viscous friction (N m s)", "D-10", parts.B_Nms(load), TEXT["elevator"].B_Nms],
     ]
     return Table(f"The elevator from its parts: {1e3 * parts.car_kg:g} g on a drum of {100.0 * parts.drum_m:g} cm",
-                 ("constant", "Eq.", "computed", "text"), rows)  # fmt: skip
+                 ("constant", "Eq.", "computed", "text"), rows, (0, 1, 3))  # fmt: skip

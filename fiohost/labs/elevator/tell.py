@@ -48,7 +48,7 @@ def table(part: Series) -> Table:
             rows.append([str(text.settings["way"]), name, text.who, text.overshoot_pct, text.settling_5_s, text.rise_s,
                          error, "no" if faults else "yes"])  # fmt: skip
     rows.sort(key=lambda row: row[0] == "down")
-    return Table(part.title, ("way", "gain", *COLUMNS), rows)
+    return Table(part.title, ("way", "gain", *COLUMNS), rows, given=(0, 1, 2))
 
 
 def _printed(part: Series, design: Design) -> list[Printed]:
@@ -245,7 +245,7 @@ def ride(run: Run, presses: Sequence[Press]) -> ToldRide:
         text += f" More than one floor takes up to {most:.2f} s at {run.design.power_pct:g} % power; "
         text += "the text's second is for one floor."
     return ToldRide(
-        Table(f"Ride by buttons, {run.design.label} (Fig. D-50)", ("at (s)", "floors", *COLUMNS), rows),
+        Table(f"Ride by buttons, {run.design.label} (Fig. D-50)", ("at (s)", "floors", *COLUMNS), rows, (0, 1, 2)),
         Answer("Does the car reach the floors that the buttons ask for, within the criteria?", text),
         {
             "floors_asked": floors,
