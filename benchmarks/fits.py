@@ -52,7 +52,7 @@ from firmware_model.plants import load_plant  # noqa: E402
 
 STRUCTURE = "linear+coulomb_friction"
 NAMES = ("linear.gain_deg_s_per_pct", "linear.tau_s", "coulomb_friction.level_pct")
-FIRST = (5.0, 0.2, 1.0)
+FIRST = (8.0, 0.15, 2.0)
 LOW, HIGH = (0.1, 0.005, 0.0), (100.0, 2.0, 20.0)
 FIT_S, HELD_S = 60.0, 30.0
 STEPS_A_TICK = 5

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Begun, Flat, free_states, moved, of_run, speed_step, turned_deg, whitened
+from fiohost.estimation.predict import Begun, Flat, moved, of_run, speed_step, turned_deg, whitened, window_states
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -42,7 +42,7 @@ class Tangent:
         flat = of_run(self.record, flat, start)
         begins = self.begins
         if flat.remembers:
-            states = free_states(self.record, flat, start)[self.firsts]
+            states = window_states(self.record, flat, start)
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
         outputs, by_angle, by_speed = self._around
         change = (self._outputs(flat, begins) - outputs) / step
