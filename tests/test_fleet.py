@@ -92,6 +92,8 @@ def test_the_command_writes_a_table_and_a_page_and_finds_the_odd_one(line: Path,
     assert table[LEVEL].to_pylist()[5] == pytest.approx(6.0, rel=0.2)
     page = (out / "fleet.html").read_text()
     assert "m5" in page
+    assert "1 stands apart" in page
+    assert "Not looked for" in page  # none was found, which is not to say that none is there
     assert "<svg" in page
 
     again = CliRunner().invoke(cli, [*arguments, "--force"])  # what was done is not done again
