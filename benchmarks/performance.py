@@ -55,7 +55,8 @@ PARTS = {
     "diagnosis": Part("A diagnosis", (), "Aims: growth with the log no worse than linear; an hour at 200 Hz within "
                       "5 minutes and 2 GiB; at 158 s of logs a median of 5 s of the processor for one effect, 15 s for "
                       "two.", ("--cases", "3")),
-    "fleet": Part("A fleet", (), "A line test: motors drawn of one type, 2 % of them of a bad lot, 20 s of log each.",
+    "fleet": Part("A fleet", (), "A line test: motors drawn of one type, some of a bad lot (2 % unless it is "
+                  "said), 20 s of log each.",
                   ("--motors", "60", "--bad", "0.1", "--short", "20")),
     "watch": Part("While it runs", (), "False alarms of `fiohost watch` in simulated days of normal running with "
                   "drifting temperature and load, and the delay from a change to its alarm. Aim: at most one false "
