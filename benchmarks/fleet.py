@@ -136,7 +136,7 @@ def main() -> int:
     seed = secrets.randbelow(2**31) if chosen.seed is None else chosen.seed
 
     from fiohost.fleet.summary import summarised
-    from fiohost.fleet.together import population
+    from fiohost.fleet.together import calibrated, population
 
     motors = drawn(chosen.motors, chosen.bad, seed)
     fresh = [m for m in drawn(chosen.motors + chosen.short, 0.0, seed)[chosen.motors :] if not m.fault]
@@ -144,7 +144,6 @@ def main() -> int:
         folder = Path(place)
         rows, _, wall_s = fleet_of(motors, chosen.seconds, folder / "line", chosen.processes)
         fleet = summarised(rows)
-        type_ = population(rows)
         short, truths, _ = fleet_of(fresh, 5.0, folder / "short", chosen.processes)
         long, _, _ = fleet_of(fresh, 60.0, folder / "long", chosen.processes)
     cpu_s = sum(r["cpu_s"] for r in rows)
@@ -157,6 +156,8 @@ def main() -> int:
         lot = [m for m in bad if m.fault == fault]
         print(f"{fault}: missed {bounds(sum(m.name not in apart for m in lot), len(lot))}")
     print(f"good motors said to stand apart: {bounds(sum(m.name in apart for m in good), len(good))}")
+    together = calibrated([*rows, *short])
+    type_, short = population(together[: len(rows)]), together[len(rows) :]
     assert type_ is not None
     own = [np.array(r["values"]) for r in short]
     behind = [type_.with_prior(np.array(r["values"]), np.array(r["covariance"], dtype=float))[0] for r in short]

@@ -4,6 +4,9 @@
 
 Each is run in turn, so that all meet the same machine; ratios are of medians. ``import fiohost`` is the time that it
 adds to an empty interpreter. Beside the clock stands the processor's time, which other work hardly touches.
+
+Then what the first use of all kernels costs: a stretch of normal running is learned from as ``fiohost watch`` does it,
+with nothing compiled before, and once more with what was kept; the difference is the compilation.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,6 +27,34 @@ RUNS = {
     "import fiohost": ["-c", "import fiohost"],
     "fiohost --help": ["-m", "fiohost", "--help"],
 }
+# All kernels at work: fits of whole runs and of windows, noise and its replicas, every effect of the library.
+LEARNS = """
+import numpy as np
+from fiohost.estimation.record import make_record
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Excitation, free_run
+from fiohost.watch.learn import learn
+rng = np.random.default_rng(1)
+at = np.arange(2400) * 0.005
+duty = np.repeat(rng.uniform(-80.0, 80.0, 24), 100)
+model = Model(("coulomb_friction",), {"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.08,
+                                      "coulomb_friction.level_pct": 3.0})
+runs = Excitation(at, at + 0.005, np.concatenate(([0.0], duty)), np.ones(2401, dtype=np.int64))
+y = np.floor((free_run(model, runs, 0.2) + 0.1 * rng.standard_normal(2400)) / 0.5) * 0.5
+learn(make_record("normal", at, duty, y, quantum=0.5, sample_time_s=0.005, command_delay_s=0.005, at_rest=True), model)
+"""
+COMPILED_S = 20.0
+
+
+def compiling() -> tuple[float, float]:
+    """Seconds of the processor that the first use of all kernels takes, and the second."""
+    with tempfile.TemporaryDirectory() as cache:
+        spans = []
+        for _ in range(2):
+            began = processor_s()
+            subprocess.run([sys.executable, "-c", LEARNS], check=True, env={**os.environ, "XDG_CACHE_HOME": cache})
+            spans.append(processor_s() - began)
+    return spans[0], spans[1]
 
 
 def processor_s() -> float:
@@ -52,13 +84,17 @@ def main() -> None:
     cpu = {name: statistics.fmean(t for _, t in values[1:]) for name, values in taken.items()}
     for name in RUNS:
         print(f"{name:16} {1e3 * clock[name]:7.1f} ms  {1e3 * cpu[name]:7.1f} ms of the processor")
-    told = {}
+    told: dict[str, object] = {}
     for kind, median in (("clock", clock), ("processor", cpu)):
         ratio = median["fiohost --help"] / median["import click"]
         added = 1e3 * (median["import fiohost"] - median["nothing"])
         print(f"{kind}: fiohost --help {ratio:.2f} times import click (at most 2); import fiohost adds {added:.1f} ms "
               "(below 50)")  # fmt: skip
         told[kind] = {"help_ratio": ratio, "import_ms": added, "seconds": median}
+    first, again = compiling()
+    print(f"first use of all kernels: {first:.1f} s of the processor, the next {again:.1f} s: "
+          f"{first - again:.1f} s of compilation (below {COMPILED_S:g})")  # fmt: skip
+    told["compile"] = {"first_cpu_s": first, "next_cpu_s": again}
     if given.json:
         given.json.write_text(json.dumps(told) + "\n")
 

@@ -21,7 +21,7 @@ from fiohost.errors import ConfigError
 from fiohost.fleet.benches import Bench, find_benches
 from fiohost.fleet.run import KEPT, run_fleet
 from fiohost.fleet.summary import columns_of, summarised
-from fiohost.fleet.together import population, trend, z_scores
+from fiohost.fleet.together import calibrated, population, trend, z_scores
 from fiohost.fleet.work import Settings, fitted, work
 from fiohost.motor.model import Model
 
@@ -92,6 +92,8 @@ def test_the_command_writes_a_table_and_a_page_and_finds_the_odd_one(line: Path,
     assert table[LEVEL].to_pylist()[5] == pytest.approx(6.0, rel=0.2)
     page = (out / "fleet.html").read_text()
     assert "m5" in page
+    assert "1 stands apart" in page
+    assert "Not looked for" in page  # none was found, which is not to say that none is there
     assert "<svg" in page
 
     again = CliRunner().invoke(cli, [*arguments, "--force"])  # what was done is not done again
@@ -180,6 +182,29 @@ def test_the_population_is_that_of_which_motors_were_drawn_and_lends_what_one_la
     seen = np.array([row["values"] for row in rows])
     lent = np.array([found.with_prior(np.array(r["values"]), np.array(r["covariance"]))[0] for r in rows])
     assert np.std(np.log(lent / true)) < 0.6 * np.std(np.log(seen / true))
+
+
+def test_a_torque_that_wanders_makes_a_fit_too_sure_and_the_fleet_says_by_how_much() -> None:
+    """Motors that are all the same, each under a torque of 1 % that lasts for half a second: what estimates differ by
+    is what they are uncertain by.
+    """
+    rng = np.random.default_rng(5)
+    truth, stays, rows = Model(("coulomb_friction",), {GAIN: 10.5, TAU: 0.08, LEVEL: 3.0}), np.exp(-0.01), []
+    for i in range(16):
+        duty, torque = steps(12.0, rng), np.zeros(2400)
+        for k in range(1, len(torque)):
+            torque[k] = stays * torque[k - 1] + np.sqrt(1.0 - stays**2) * rng.standard_normal()
+        record = replace(measure(truth, duty, rng), y=measure(truth, duty + torque, rng).y)
+        rows.append({"bench": str(i), "error": None} | fitted(MODEL, [record]))
+    scatter = np.std(np.log([r["values"] for r in rows]), axis=0, ddof=1)
+
+    def claimed(rows: list[dict[str, Any]]) -> np.ndarray:
+        return np.mean([np.sqrt(np.diag(r["covariance"])) / np.array(r["values"]) for r in rows], axis=0)
+
+    assert (claimed(rows) < 0.6 * scatter).all()
+    assert claimed(calibrated(rows)) == pytest.approx(scatter, rel=0.6)
+    once = calibrated(rows)
+    assert calibrated(once) == once  # no row is widened twice
 
 
 def test_a_short_log_with_the_fleet_behind_it_says_more_than_alone() -> None:

@@ -1,4 +1,6 @@
-"""Logs of any length are read in pieces: the same as in one, and with little memory beside the numbers themselves."""
+"""Logs of any length are read in pieces: the same as in one, and with little memory beside the numbers themselves. So
+they are diagnosed: no more is kept of a candidate or a replica than is asked for.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_data import measure, steps, truth_model
 
 from fiohost.bench import log as log_module
 from fiohost.bench.log import Log
 from fiohost.bench.unwrap import ambiguous_steps
+from fiohost.discover.floor import replica_floor
+from fiohost.discover.metrics import judge
+from fiohost.discover.objective import Windows
+from fiohost.discover.search import Search, _ranked
 from fiohost.errors import LogError
+from fiohost.motor.effect import effects
+from fiohost.motor.model import Model
 
 HEAD = "# schema: fiohost.log/1\n# sample_time_s: 0.005\ntime_s,duty_pct,c3,c4,pos,direction,ref_deg,angle_deg,note\n"
 
@@ -80,3 +89,36 @@ def test_a_gap_is_judged_by_the_speeds_beside_it() -> None:
     assert judged([0, 100, 400], [0, 1, 5]) == [1]
     assert judged([0, 300], [0, 4]) == []  # nobody knows a speed
     assert judged([0, 330], [0, 1]) == [0]
+
+
+def test_a_floor_keeps_no_arrays_of_its_replicas() -> None:
+    rng = np.random.default_rng(1)
+    truth = truth_model()
+    record = measure(truth, steps(60.0, rng), rng)
+    judgement = judge(record, truth)
+
+    def peak(draws: int) -> int:
+        tracemalloc.start()
+        try:
+            replica_floor(record, truth, judgement, [truth] * draws, np.random.default_rng(2))
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(2)
+    assert peak(16) < peak(2) + 2 * record.y.nbytes  # of each draw three arrays would be kept
+
+
+def test_a_rough_fit_and_what_the_null_does_not_ask_for_keep_no_arrays() -> None:
+    rng = np.random.default_rng(1)
+    records = [measure(truth_model(("coulomb_friction",)), steps(16.0, rng), rng)]
+    search = Search(Windows(records), rng, ["coulomb_friction", "quadratic_drag"], lambda text: None)
+    root = search.declared(Model(), False)
+    screen, other = search.objective.screens(root.state)
+    offered = [effects()[n] for n in ("coulomb_friction", "quadratic_drag")]
+    kept, light = _ranked(screen, offered, True), _ranked(other, offered, False)
+    assert all(s.directions for s in kept)
+    assert not any(s.directions for s in light)
+    rough = search._rough(kept[0], root.state.fit, root.state.records)
+    assert rough.cost < root.state.fit.cost
+    assert (rough.residuals, rough.jacobians, rough.nuisances) == ((), (), ())

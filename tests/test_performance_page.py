@@ -16,7 +16,7 @@ import performance  # noqa: E402
 
 def test_a_part_is_made_anew_and_the_others_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "page.md"
-    printed = iter(("first figures", "logs", "kernel", "second figures"))
+    printed = iter(["first figures", *list(performance.PARTS)[1:], "second figures"])
     monkeypatch.setattr(
         performance.subprocess,
         "run",
@@ -30,6 +30,23 @@ def test_a_part_is_made_anew_and_the_others_stay(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(sys, "argv", ["performance.py", "--page", str(page), "--only", "startup"])
     performance.main()
     assert page.read_text() == whole.replace("first figures", "second figures")
+
+
+def test_what_is_done_stays_where_a_later_part_fails_and_small_samples_are_shown_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "page.md"
+
+    def ran(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        if "fleet.py" in command[1]:
+            raise subprocess.CalledProcessError(1, command)
+        return subprocess.CompletedProcess(command, 0, "done\n")
+
+    monkeypatch.setattr(performance.subprocess, "run", ran)
+    monkeypatch.setattr(sys, "argv", ["performance.py", "--page", str(page), "--small", "--only", "diagnosis,fleet"])
+    with pytest.raises(subprocess.CalledProcessError):
+        performance.main()
+    assert "$ python benchmarks/diagnosis.py --cases 3\ndone\n" in page.read_text()
 
 
 def test_an_unknown_part_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

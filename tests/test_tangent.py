@@ -9,9 +9,10 @@ import pytest
 from bench_data import QUANTUM_DEG, measure, steps, truth_model
 
 from fiohost.estimation.fit import _Point, _Problem, fit
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record
 from fiohost.estimation.starts import first_starts
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -59,3 +60,19 @@ def test_a_fit_along_the_tangent_ends_where_the_exact_one_does(seed: int) -> Non
     exact = fit(begin, records, windows=True, tolerance=1e-7)
     assert near.rms == pytest.approx(exact.rms, rel=0.01)
     assert exact.rms < QUANTUM_DEG / 3.0
+
+
+@pytest.mark.parametrize("name", ["quadratic_drag", "armature_heating", "gravity_load"])
+def test_where_few_windows_are_looked_at_derivatives_are_theirs_and_work_is_on_no_other(name: str) -> None:
+    rng = np.random.default_rng(4)
+    truth = truth_model((name,), EFFECTS[name])
+    record, start = measure(truth, steps(40.0, rng), rng), Start(0.2, 0.0)
+    flat, other = Flat.of(truth), Flat.of(truth.with_values({"linear.tau_s": 0.08}))
+    few = replace(record, every=5)
+    firsts, lasts = few.looked_at()
+    looked = np.concatenate([np.arange(a, b) for a, b in zip(firsts, lasts, strict=True)])
+    whole, part = (Tangent(r, flat, start, windowed(r, flat, start)[1]) for r in (record, few))
+    assert len(part.window) == len(looked) < 0.3 * len(record)
+    expected = np.zeros(len(record))
+    expected[looked] = whole.by(other, start, 0.01)[looked]
+    np.testing.assert_array_equal(part.by(other, start, 0.01), expected)

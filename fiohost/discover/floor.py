@@ -102,11 +102,15 @@ def replica_floor(
     record: Record, model: Model, judgement: Judgement, models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
     """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it."""
-    start, residual = judgement.start, judgement.free_residual
-    draws = [judge(record, m, replica(record, model, start, rng, residual), near=start) for m in models]
-    none = np.empty(0)
-    slim = tuple(replace(d, simulated=none, free_residual=none, window_residual=none) for d in draws)
-    return Floor(_mean([d.errors for d in draws]), "replicas", slim)
+    start, residual, none = judgement.start, judgement.free_residual, np.empty(0)
+
+    def draw(judged_by: Model) -> Judgement:
+        """One replica judged, without its arrays: of a long record, those of all would fill the memory."""
+        found = judge(record, judged_by, replica(record, model, start, rng, residual), near=start)
+        return replace(found, simulated=none, free_residual=none, window_residual=none)
+
+    draws = tuple(draw(m) for m in models)
+    return Floor(_mean([d.errors for d in draws]), "replicas", draws)
 
 
 def _detrended(values: np.ndarray, edges: np.ndarray) -> np.ndarray:

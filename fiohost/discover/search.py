@@ -40,6 +40,7 @@ from fiohost.discover.whitened import drawing
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record
+from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import NO_SCATTER, run_of, varied
@@ -222,7 +223,7 @@ class Search:
         if node.added:  # the little that another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
-        ranked = [sorted(each(s.score, offered), key=lambda x: x.share, reverse=True) for s in screens]
+        ranked = [_ranked(s, offered, s is screens[0]) for s in screens]  # the null asks for the first one's directions
         if not offered:
             return []
         children = self.children(node, screens, ranked)
@@ -309,10 +310,11 @@ class Search:
         return sorted(best.values(), key=lambda c: c.price)
 
     def _rough(self, score: Score, base: Fit, records: Sequence[Record]) -> Fit:
+        """A rough fit without its arrays: of a long log, those of all candidates would fill the memory."""
         found = rough_fit(base, score, records)
-        if self.objective.windows or moment_of(score.effect) is None:
-            return found
-        return min(found, fit_event(base, score.effect, records), key=lambda f: f.cost)
+        if not self.objective.windows and moment_of(score.effect) is not None:
+            found = min(found, fit_event(base, score.effect, records), key=lambda f: f.cost)
+        return replace(found, residuals=(), jacobians=(), nuisances=())
 
     def objection(self, node: Node, child: Child, null: Null) -> str | None:
         """Why a candidate is not believed, or None."""
@@ -497,6 +499,16 @@ class Search:
         own = [varied(stage.fit.model, noise.runs.by_run.get(run_of(r.name), np.zeros(3))) for r in train]
         records = drawing(train, replace(noise, runs=NO_SCATTER))
         return ruled(records, own, [j.start for j in stage.judgements], self.rng, self.settings)
+
+
+def _ranked(screen: Screen, offered: Sequence[Effect], directions: bool) -> list[Score]:
+    """Effects by their score, the best first; without their ``directions``, which are large, unless they are needed."""
+
+    def scored(effect: Effect) -> Score:
+        found = screen.score(effect)
+        return found if directions else replace(found, directions=())
+
+    return sorted(each(scored, offered), key=lambda x: x.share, reverse=True)
 
 
 def _doubted(found: Fit) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fiohost.errors import DataError
 from fiohost.estimation.predict import Begun, Flat, errors, windowed
@@ -339,8 +340,9 @@ def fit_from_scratch(
     starts = [s for s in starts if "linear.tau_s" not in model.fixed][: 3 if "linear.tau_s" not in model.fixed else 0]
     if keep_start or not starts:
         starts.append(model)
-    near = best_of(starts, lambda m: fit(m, records, windows=True, max_iterations=15, tolerance=1e-3))
-    return near if windows else fit(near.model, records)
+    with threadpool_limits(limits=1, user_api="blas"):  # numpy's own threads on small matrices cost more than they do
+        near = best_of(starts, lambda m: fit(m, records, windows=True, max_iterations=15, tolerance=1e-3))
+        return near if windows else fit(near.model, records)
 
 
 def unchanged(

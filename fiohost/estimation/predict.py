@@ -11,7 +11,7 @@ from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import fit_windows, read_output
 from fiohost.motor.effect import effect, effects
 from fiohost.motor.model import Model, slot
-from fiohost.motor.simulate import Start, run, seen_angle, start_state
+from fiohost.motor.simulate import Excitation, Start, run, seen_angle, start_state
 from fiohost.motor.state import (
     BACKLASH,
     GAIN,
@@ -32,6 +32,9 @@ REMEMBERING = [i for i, item in enumerate(effects().values()) if item.remembers]
 
 # A shaft may stand so far beyond an end of travel, for want of a finer sensor.
 END_SLACK_COUNTS = 3.0
+
+# Of a run that is looked at in fewer than one of so many windows, nothing is kept between them.
+SPARSE = 4
 
 
 @cache
@@ -121,15 +124,26 @@ def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
     return y
 
 
-def free_states(record: Record, flat: Flat, start: Start, last: int | None = None) -> np.ndarray:
-    """States (n, STATE_SIZE) of a free run, of all samples or up to ``last``."""
+def free_states(
+    record: Record, flat: Flat, start: Start, last: int | None = None, excitation: Excitation | None = None
+) -> np.ndarray:
+    """States (n, STATE_SIZE) of a free run, of all samples or up to ``last``, or of those of an ``excitation``."""
     flat = flat.from_zero(start.zero)
     turned = turned_deg(record, flat)
     begin = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
-    states = run(record.excitation, flat.p, flat.on, flat.substep_s, begin, 0, last)
+    states = run(excitation or record.excitation, flat.p, flat.on, flat.substep_s, begin, 0, last)
     if turned != 0.0:
         states[:, [THETA, LOAD_THETA]] -= turned
     return states
+
+
+def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
+    """States (m, STATE_SIZE) of a free run where the windows that are looked at begin."""
+    firsts, ex = record.looked_at()[0], record.excitation
+    if SPARSE * len(firsts) >= len(record.windows):
+        return np.ascontiguousarray(free_states(record, flat, start)[firsts])
+    # The first window of a record is always looked at, so this run begins where the whole one does.
+    return free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts]))
 
 
 def turned_deg(record: Record, flat: Flat) -> float:
@@ -212,11 +226,11 @@ def windowed(
     """``in_windows`` of the free run from a start, whitened where the record's noise is known."""
     flat = of_run(record, flat, start)
     if near is None:
-        residuals, begun = in_windows(record, flat, free_states(record, flat, start), y)
+        residuals, begun = _from_bases(record, flat, window_states(record, flat, start), y)
         return _as_fitted(record, residuals), begun
     bases = near.states
     if flat.remembers:  # what it keeps in mind beside angle and speed is that of the free run
-        states = free_states(record, flat, start)[record.looked_at()[0]]
+        states = window_states(record, flat, start)
         bases = moved(states, bases[:, THETA], bases[:, OMEGA])
     residuals, begun = _from_bases(record, flat, bases, y, near.columns)
     return _as_fitted(record, residuals), begun

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Begun, Flat, free_states, moved, of_run, speed_step, turned_deg, whitened
+from fiohost.estimation.predict import Begun, Flat, moved, of_run, speed_step, turned_deg, whitened, window_states
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -29,9 +29,11 @@ class Tangent:
         self.flat = of_run(record, flat, start)
         self.begins = begun.states
         self.firsts, self.lasts = record.looked_at()
-        self.window = np.full(len(record), len(self.firsts))  # of each sample; the last is that of none
-        for i, (a, b) in enumerate(zip(self.firsts, self.lasts, strict=True)):
-            self.window[a:b] = i
+        # Of a long record few windows are looked at: everything is of their samples (k), one after the other.
+        lengths = self.lasts - self.firsts
+        self.window = np.repeat(np.arange(len(lengths)), lengths)
+        before = np.cumsum(lengths) - lengths
+        self.rows = np.arange(len(self.window)) + (self.firsts - before)[self.window]
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
@@ -40,15 +42,17 @@ class Tangent:
         flat = of_run(self.record, flat, start)
         begins = self.begins
         if flat.remembers:
-            states = free_states(self.record, flat, start)[self.firsts]
+            states = window_states(self.record, flat, start)
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
         outputs, by_angle, by_speed = self._around
         change = (self._outputs(flat, begins) - outputs) / step
-        return whitened(self.record, change - self._along(change, by_angle) - self._along(change, by_speed))
+        found = np.zeros(len(self.record))
+        found[self.rows] = change - self._along(change, by_angle) - self._along(change, by_speed)
+        return whitened(self.record, found)
 
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The windows' outputs (n), and directions (n), square to each other, in which angle and speed move them."""
+        """The windows' outputs (k), and directions (k), square to each other, in which angle and speed move them."""
         flat, begins = self.flat, self.begins
         outputs, step = self._outputs(flat, begins), speed_step(flat)
         thetas, omegas = begins[:, THETA], begins[:, OMEGA]
@@ -61,7 +65,7 @@ class Tangent:
         return outputs, by_angle, self._unit(by_speed - self._along(by_speed, by_angle), least)
 
     def _outputs(self, flat: Flat, begins: np.ndarray) -> np.ndarray:
-        """Outputs (n) of windows that begin so, zero between them."""
+        """Outputs (k) of windows that begin so."""
         record, ex = self.record, self.record.excitation
         turned = turned_deg(record, self.flat)
         if turned != 0.0:
@@ -73,14 +77,14 @@ class Tangent:
             ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, record.y, self.firsts, self.lasts, begins,
             record.kind, flat.seen, flat.substep_s, flat.p, flat.on, np.zeros(WORK_SIZE), states, outputs,
         )  # fmt: skip
-        return outputs
+        return np.asarray(outputs[self.rows])
 
     def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Sums of products (m + 1) over each window's samples, the last over those of none."""
-        return np.bincount(self.window, weights=a * b, minlength=len(self.firsts) + 1)
+        """Sums of products (m) over each window's samples."""
+        return np.bincount(self.window, weights=a * b, minlength=len(self.firsts))
 
     def _along(self, series: np.ndarray, unit: np.ndarray) -> np.ndarray:
-        """The part (n) of a series along a direction of unit length in each window."""
+        """The part (k) of a series along a direction of unit length in each window."""
         return np.asarray(unit * self._products(series, unit)[self.window])
 
     def _unit(self, series: np.ndarray, least: np.ndarray | float) -> np.ndarray:

@@ -24,11 +24,11 @@ th { background: #f2f2f2; text-align: left; } svg { max-width: 100%; height: aut
 </style></head><body>
 <h1>{{ benches }} benches</h1>
 <p>{% for name, count in verdicts %}{{ name }}: {{ count }}{{ ", " if not loop.last }}{% endfor %}.
-{{ apart|length }} stand apart from the others{% if failed %}, {{ failed|length }} could not be judged{% endif %}.</p>
+{{ apart|length }} stand{{ "s" if apart|length == 1 }} apart from the others{% if failed %}, {{ failed|length }} could not be judged{% endif %}.</p>
 <h2>Effects found</h2>
 {% if effects %}<table><tr><th>effect</th><th>benches</th><th>share</th></tr>
 {% for name, count in effects %}<tr><td>{{ name }}</td><td class="n">{{ count }}</td><td class="n">{{ "%.1f" % (100 * count / benches) }} %</td></tr>
-{% endfor %}</table>{% else %}<p>None.</p>{% endif %}
+{% endfor %}</table>{% elif looked %}<p>None.</p>{% else %}<p>Not looked for: the benches were fitted only.</p>{% endif %}
 <h2>Motors that stand apart</h2>
 {% if apart %}<table><tr><th>bench</th><th>most in</th><th>robust z</th></tr>
 {% for name, what, z in apart[:most] %}<tr><td>{{ name }}</td><td>{{ what }}</td><td class="n">{{ "%+.1f" % z }}</td></tr>
@@ -60,6 +60,7 @@ def write_fleet_page(fleet: Fleet, path: Path) -> None:
         benches=len(fleet.rows),
         verdicts=list(told["verdicts"].items()),
         effects=list(fleet.effects.items()),
+        looked=any("steps" in row for row in fleet.rows),
         apart=fleet.apart,
         failed=fleet.failed,
         types=[(name, list(p.items())) for name, p in told["types"].items()],
@@ -90,7 +91,7 @@ def _values(fleet: Fleet, across: np.ndarray, label: str) -> Figure:
         values = np.array([_of(row, k, fleet.names) for row in fleet.rows])
         axis.plot(across[~far], values[~far], ".", color="0.4", markersize=4)
         axis.plot(across[far], values[far], "o", color="tab:red", markersize=4)
-        axis.set_ylabel(name.partition(".")[2] or name, fontsize=8)
+        axis.set_ylabel(name.replace(".", "\n"), fontsize=7)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel(label)
     return figure

@@ -17,6 +17,8 @@ ROUNDS = 200
 SETTLED = 1e-6
 # Of fewer motors no population is made.
 LEAST_MOTORS = 5
+# So much of the largest and of the smallest inflations is left out of their mean.
+TRIMMED = 0.1
 # A normal distribution's standard deviation by its median absolute deviation.
 MAD = 1.4826
 # Robust z-score from which a motor stands apart: by chance one good motor in a thousand does, with five parameters.
@@ -72,6 +74,23 @@ def _inner(logs: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> tupl
         part = np.ix_(known, known)
         information[part] = np.linalg.pinv(own[part], hermitian=True)
     return np.where(known, inner, 0.0), information
+
+
+def calibrated(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with covariances as wide as what their fits leave says of all of them together.
+
+    What wanders for longer than a reading, as a torque on the shaft, makes least squares too sure by a factor that is
+    much the same for all motors of a type, and that a short log alone cannot tell. Extremes of it are left out.
+    """
+    known = sorted(float(r["inflation"]) for r in rows if r.get("inflation") is not None)
+    cut = int(TRIMMED * len(known))
+    factor = max(float(np.mean(known[cut : len(known) - cut])), 1.0) if known else 1.0
+    return [
+        {**r, "covariance": (factor * np.array(r["covariance"], dtype=np.float64)).tolist(), "inflation": None}
+        if r.get("inflation") is not None
+        else dict(r)
+        for r in rows
+    ]
 
 
 def population(rows: Sequence[Mapping[str, Any]]) -> Population | None:

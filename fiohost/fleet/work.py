@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,8 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
     """The declared model fitted to one bench's records: free parameters (k) with their covariance (k, k).
 
     The covariance is that of least squares, what is left in a window of 1 s being as good as some readings that err
-    apart: a few seconds are too few pieces for their scatter to say it.
+    apart: a few seconds are too few pieces for their scatter to say it. ``inflation`` is what their scatter says all
+    the same, for the fleet to take together: the variance by it over that one, the mean over parameters.
     """
     from fiohost.discover.own_start import SETTINGS
     from fiohost.estimation.fit import fit_from_scratch
@@ -90,14 +92,27 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
     variance = found.rms**2 * max(found.samples / apart, 1.0)
     inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12, hermitian=True)
     cov = variance * inverse / np.outer(scale, scale)
+    pulls = _pulls(found, records, scale) @ inverse
+    pieces = len(pulls)
+    # Cluster-robust, windows being the clusters (Liang and Zeger 1986); small samples as by MacKinnon and White (1985).
+    robust = np.sum(pulls**2, axis=0) * pieces / max(pieces - len(scale), 1)
+    claimed = variance * np.diag(inverse)
+    inflation = float(np.mean(robust[ok] / claimed[ok])) if ok.any() and (claimed[ok] > 0.0).all() else None
     return {
         "names": list(found.names),
         "values": [found.model.number(n) for n in found.names],
         "covariance": np.where(np.outer(ok, ok), cov, np.nan).tolist(),
+        "inflation": inflation,
         "window_rms": found.rms,
         "unit": records[0].unit,
         "log_s": float(sum(r.seconds for r in records)),
     }
+
+
+def _pulls(found: Any, records: Any, scale: np.ndarray) -> np.ndarray:
+    """How what is left in each window pulls at the parameters (windows, k), in units of one over ``scale`` (k)."""
+    parts = zip(records, found.jacobians, found.residuals, strict=True)
+    return np.array([c[a:b].T @ e[a:b] / scale for r, c, e in parts for a, b in pairwise(r.windows)])
 
 
 def _said(metadata: Mapping[str, str]) -> dict[str, str]:
