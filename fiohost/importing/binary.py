@@ -62,7 +62,7 @@ def read_hdf5(path: Path) -> RawTable:
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or len(found) >= MAX_ITEMS or name.startswith("#refs#"):
             return
-        if item.dtype.kind == "O":
+        if item.dtype.kind == "O" or item.size is None:  # an empty one has no size
             return
         sizes.append(item.size * item.dtype.itemsize)
         _check_unpacked(path, sum(sizes))
