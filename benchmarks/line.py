@@ -34,7 +34,6 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from line_figures import BARE, FIOHOST, Block, count_missed, figures, histogram, ratios, share_out
 
-from fiohost.bench import line as bench_line
 from fiohost.bench.connect import connect
 from fiohost.bench.program import Answer
 from fiohost.transport.timed import TimedTransport
@@ -141,7 +140,7 @@ class _Braked:
 def fiohost_block(target: str, seconds: float, log: Path, *, seen_by_host: bool) -> Block:
     """fiohost as in every run. *seen_by_host*: its calls are timed too, which costs it some microseconds."""
     block = Block(FIOHOST)
-    with connect(target) as bench:
+    with connect(target, guards={"silence_s": READ_S}) as bench:
         timed = TimedTransport(bench.transport, time.monotonic) if seen_by_host else None
         if timed is not None:
             bench.transport = timed
@@ -222,7 +221,6 @@ def measure(asked: argparse.Namespace) -> tuple[list[Block], str]:
 def main() -> None:
     asked = parse_arguments()
     logging.getLogger("fiohost").setLevel(logging.ERROR)  # of a board without a watchdog it warns at every opening
-    bench_line.TELEMETRY_TIMEOUT_S = READ_S
     before = load()
     blocks, key = measure(asked)
     found = {loop: figures(blocks, loop, key) for loop in (BARE, FIOHOST)}

@@ -138,6 +138,14 @@ def open_input(path: str | Path, most_bytes: int, what: str, error: type[Fiohost
     raise error(_too_large(path, what, most_bytes))
 
 
+def entries(folder: Path, what: str, error: type[FiohostError]) -> list[Path]:
+    """What is in a folder, in order of names; *what* names its kind in messages. Raises *error*."""
+    try:
+        return sorted(folder.iterdir())
+    except (OSError, ValueError) as exc:
+        raise error(f"cannot read {what} {shown(folder)}: {_why(exc)}") from exc
+
+
 def note_input(path: str | Path, error: type[FiohostError] = FiohostError) -> None:
     """This command reads that file, through a reader of somebody else's. Raises *error* where it also writes it."""
     now = _command.get()

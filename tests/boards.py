@@ -11,6 +11,9 @@ from fiohost.transport.profile import TargetProfile
 from fiohost.transport.simulated import SimulatedTransport, plant_board
 
 Receive = Callable[[int, bytes], bytes]
+# No wait that ends well is so long: only what hangs reaches it. A first run compiles, on a computer that may have much
+# else to do. What a test holds to be fast, it shows by what came first, never by this.
+HANG_S = 900.0
 
 
 class WatchedTransport(SimulatedTransport):

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import pytest
+from boards import HANG_S
 from tornado.websocket import websocket_connect
 
 
@@ -35,8 +36,8 @@ def needed(*programs: str) -> None:
         pytest.skip(reason)
 
 
-def until(what: Callable[[], Any], limit_s: float = 240.0) -> Any:
-    """Wait until *what* gives something true, and give that. A first run compiles: the limit is for hangs only."""
+def until(what: Callable[[], Any], limit_s: float = HANG_S) -> Any:
+    """Wait until *what* gives something true, and give that."""
     deadline = time.monotonic() + limit_s
     while not (found := what()):
         assert time.monotonic() < deadline, "it did not come"

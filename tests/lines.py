@@ -25,7 +25,9 @@ BRAKE = (0, 1, 1)  # compare value, C3, C4
 def patient(profile: str, **guards: float) -> TargetProfile:
     """A shipped profile for a host on a busy machine: it may be held up for long."""
     loaded = TargetProfile.load(profile)
-    return replace(loaded, guards=loaded.guards.changed({"gap_s": 20.0, "late_pct": 100.0, **guards}))
+    return replace(
+        loaded, guards=loaded.guards.changed({"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0, **guards})
+    )
 
 
 class PtyBoard:
@@ -69,8 +71,8 @@ class PtyBoard:
     def target(self) -> str:
         return self.line.where
 
-    def bench(self, **options: Any) -> Bench:
-        return Bench(SerialTransport(self.target), patient("serial-documented"), **options)
+    def bench(self, silence_s: float = 10.0, **options: Any) -> Bench:
+        return Bench(SerialTransport(self.target), patient("serial-documented", silence_s=silence_s), **options)
 
     @property
     def braked(self) -> bool:

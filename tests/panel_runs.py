@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from boards import rows_of
+from boards import HANG_S, rows_of
 from desktop import until
 from test_cli_drive import FIOHOST
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError
@@ -68,7 +68,7 @@ class Run:
 
     def ended(self) -> tuple[int, str, Log]:
         """Exit code, standard error without traffic, and the log; the last report sent was a brake."""
-        code = self.process.wait(timeout=240)
+        code = self.process.wait(timeout=HANG_S)
         lines = self.errors.read_text().splitlines()
         sent = [line.partition("64: ")[2] for line in lines if line.startswith("fiohost.traffic: out")]
         assert sent[-1] == "00 00 00 00 01 01"

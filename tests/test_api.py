@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from boards import HANG_S
 
 import fiohost
 from fiohost.bench import hand
@@ -80,8 +81,10 @@ def test_an_error_in_between_brakes_and_a_wrong_duty_is_refused_where_it_is_set(
     with pytest.raises(RuntimeError), bench as b:  # noqa: PT012 (what leaves the block is looked at)
         b.duty = 60
         b.sleep(0.5)
+        loop = b._hand._thread
         raise RuntimeError
     assert bench._by_hand is None
+    assert not loop.is_alive()  # it braked, and ended
     with fiohost.connect("sim") as b:
         with pytest.raises(LimitError):
             b.duty = 140
@@ -101,7 +104,7 @@ def test_in_real_time_the_duty_of_a_program_that_does_not_come_again_is_taken_ba
         b.duty = 40
         b.sleep(0.3)
         assert b.log.duty_pct[-1] == 40.0  # a sleep is no absence
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + HANG_S
         while b._hand._command.duty_pct != 0.0 and time.monotonic() < end:
             time.sleep(0.02)
         assert b.duty == 0.0

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import Receive, WatchedTransport, bench_on, rows_of
+from boards import HANG_S, Receive, WatchedTransport, bench_on, rows_of
 from short_runs import plant_file
 
 from fiohost.bench.connect import connect
@@ -365,7 +365,7 @@ def test_after_kill_9_the_log_holds_every_row_but_the_last(tmp_path: Path) -> No
     path = tmp_path / "run.csv"
     command = [sys.executable, "-m", "fiohost.cli.main", "manual", "--pwm", "40", "--log", str(path)]
     host = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parent.parent)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline and (not path.exists() or len(rows_of(path)) < 50):
         time.sleep(0.02)
     host.kill()

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import rows_of
+from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
 
 from fiohost.bench.log import Log
@@ -165,7 +165,7 @@ def start(*arguments: str, **more: Any) -> subprocess.Popen[str]:
 
 
 def wait_for_rows(path: Path, count: int) -> None:
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + HANG_S
     while not path.exists() or len(rows_of(path)) < count:
         assert time.monotonic() < deadline, "the command did not begin"
         time.sleep(0.02)
@@ -177,7 +177,7 @@ def test_manual_brakes_and_ends_on_ctrl_c_and_its_kin_with_the_log_whole(name: s
     command = start("--debug", "manual", "--pwm", "40", "--log", str(log_path), "--json", "out.json")
     wait_for_rows(log_path, 50)
     command.send_signal(getattr(signal, name))
-    _, errors = command.communicate(timeout=30)
+    _, errors = command.communicate(timeout=HANG_S)
     assert command.returncode == code, errors
     sent = [line.partition("64: ")[2] for line in errors.splitlines() if line.startswith("fiohost.traffic: out")]
     last_drive = max(i for i, report in enumerate(sent) if report == "00 00 20 42 01")
@@ -205,7 +205,7 @@ def test_a_reader_who_leaves_ends_the_run_without_a_traceback() -> None:
     while "deg/s" not in command.stdout.readline():
         pass
     command.stdout.close()
-    assert command.wait(timeout=30) == 1
+    assert command.wait(timeout=HANG_S) == 1
     assert command.stderr is not None
     assert "Traceback" not in command.stderr.read()
     assert "BrokenPipe" in Log.read("run.csv").metadata["ending"]
@@ -325,7 +325,7 @@ def test_a_run_in_real_time_can_be_stopped_and_says_that_its_log_is_whole() -> N
     command = start("run", "staircase", "--realtime", "--log", "run.csv")
     wait_for_rows(Path("run.csv"), 20)
     command.send_signal(signal.SIGINT)
-    _, errors = command.communicate(timeout=30)
+    _, errors = command.communicate(timeout=HANG_S)
     assert command.returncode == 130
     log = Log.read("run.csv")
     assert f"closed with its {len(log)} rows" in errors

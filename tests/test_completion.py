@@ -13,8 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
+from boards import HANG_S
 
-LIMIT_S = 240.0  # a shell asks the program at each tab, and a busy computer is slow: for hangs only
+LIMIT_S = HANG_S
 ESCAPES = re.compile(rb"\x1b\[[0-9;?>=]*[ -/]*[@-~]|\x1b[()=>][0-9A-B]?|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)|\r|\x08")
 START = {
     "bash": ["bash", "--norc", "--noprofile", "-i"],

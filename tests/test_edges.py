@@ -13,6 +13,7 @@ from test_real_time import HandClock, TimedBoard
 
 from fiohost.bench.limits import Limiter
 from fiohost.bench.loop import Bench
+from fiohost.bench.signals import RandomSteps
 from fiohost.bench.unwrap import Unwrapper, unwrap_counts
 from fiohost.bench.writer import LogWriter
 from fiohost.errors import LimitError
@@ -84,3 +85,11 @@ def test_a_mean_speed_is_the_difference_of_the_angles_at_its_ends() -> None:
     angle, speed = (free_output(made[kind], model, Start(0.0, 0.0)) for kind in (ANGLE, MEAN_SPEED))
     assert np.abs(speed).max() > 100.0
     assert np.diff(angle) / 0.01 == pytest.approx(speed[1:], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 2**63 - 1])
+def test_a_seed_may_be_the_smallest_and_the_largest_there_is(seed: int) -> None:
+    steps = RandomSteps(duration_s=2.0, low=-80.0, high=80.0, hold_min_s=0.1, hold_max_s=0.3, seed=seed)
+    values = steps.values(np.arange(0.0, 2.0, 0.005))
+    assert len(np.unique(values)) > 5
+    assert np.abs(values).max() <= 80.0

@@ -26,7 +26,7 @@ from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 LIMITS = {"duty_pct": (0.0, 100.0), "slew_pct_per_s": (0.1, 1e6), "travel_deg": (1.0, 1e9), "run_time_s": (0.05, 1e7)}
 GUARDS = {
     "braked_deg_s": (0.0, 1e6), "gap_s": (0.02, 60.0), "late_pct": (0.0, 100.0), "stall_s": (0.05, 1e9),
-    "wrong_way_deg": (5.0, 1e9), "speed_deg_s": (1.0, 1e9),
+    "silence_s": (0.01, 60.0), "wrong_way_deg": (5.0, 1e9), "speed_deg_s": (1.0, 1e9),
 }  # fmt: skip
 TARGET = {"sample_time_s": (1e-4, 1.0), "counts_per_rev": (4, 1 << 24), "duty_steps": (0, 1 << 32),
           "baud": (50, 50_000_000), "watchdog_s": (0.0, 60.0)}  # fmt: skip
@@ -250,7 +250,7 @@ def test_a_duty_is_rounded_only_where_the_layout_rounds() -> None:
 def test_a_target_that_says_nothing_has_the_guards_of_the_page() -> None:
     """As docs/protocol.md gives them: they are what a bench is watched by unless somebody changes them."""
     wanted = {"braked_deg_s": 60.0, "stall_s": 3.0, "wrong_way_deg": 180.0, "speed_deg_s": 10_000.0, "late_pct": 1.0}
-    assert asdict(Guards()) == {**wanted, "gap_s": 0.1}
+    assert asdict(Guards()) == {**wanted, "gap_s": 0.1, "silence_s": 0.05}
     assert target().guards == Guards()
 
 

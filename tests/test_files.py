@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from boards import rows_of
+from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
 from test_cli_drive import ROOT
 
@@ -38,6 +38,7 @@ def refused(*arguments: object) -> str:
     result = fiohost(*arguments)
     assert result.exit_code == 1, result.output
     assert len(result.stderr.strip().splitlines()) == 1
+    assert "error inside" not in result.stderr
     return result.stderr
 
 
@@ -62,7 +63,7 @@ def test_names_that_nobody_chose_never_meet() -> None:
     """Four runs in the same second have four logs."""
     command = [sys.executable, "-m", "fiohost", "run", "e.toml"]
     runs = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(4)]
-    assert [run.wait(240) for run in runs] == [0] * 4
+    assert [run.wait(HANG_S) for run in runs] == [0] * 4
     logs = list(Path().glob("e-*.csv"))
     assert len(logs) == 4
     assert len({Log.read(log).metadata["run_id"] for log in logs}) == 4

@@ -309,6 +309,13 @@ def test_lost_repeated_and_late_reports_are_counted_by_their_numbers() -> None:
     assert Link(codec_of("serial-framed")).receive(numbered(3)[0], 5) is not None
 
 
+def test_half_a_report_is_waited_for_in_a_stream_alone() -> None:
+    half = numbered(3)[0][:7]
+    assert Link(codec_of("serial-framed"), stream=True).receive(half) is None
+    with pytest.raises(ReportError):
+        Link(codec_of("serial-framed")).receive(half)
+
+
 def test_reports_left_out_by_the_transport_are_not_lost_ones() -> None:
     link = Link(codec_of("serial-framed"))
     first, second = numbered(1, 6)

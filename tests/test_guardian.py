@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from boards import rows_of
 from lines import PtyBoard, patient
-from test_safe_stops import LIMIT_S, PATIENT_HOST, ROOT, STEP_40, Host
+from test_safe_stops import LIMIT_S, MAIN, ROOT, STEP_40, Host
 
 from fiohost.bench.log import Log
 from fiohost.bench.program import Answer, Hold
@@ -65,7 +65,7 @@ def in_step(what: str) -> str:
     return (
         "import ctypes, os, time\nfrom fiohost.bench.program import OpenLoop\nstep = OpenLoop.step\n"
         f"def late(self, k, angle):\n    if k >= 100:\n        {what}\n    return step(self, k, angle)\n"
-        f"OpenLoop.step = late\n{PATIENT_HOST}"
+        f"OpenLoop.step = late\n{MAIN}"
     )
 
 
@@ -110,7 +110,7 @@ def test_a_host_that_is_stopped_for_a_while(board: PtyBoard, tmp_path: Path) -> 
 FROZEN = (
     "import time\nfrom fiohost.bench.writer import LogWriter\nwrite = LogWriter._write\n"
     "def frozen(self, data):\n    if self.rows > 60:\n        time.sleep(1e6)\n    write(self, data)\n"
-    f"LogWriter._write = frozen\nimport fiohost.bench.writer as w; w.CLOSE_LIMIT_S = 0.5\n{PATIENT_HOST}"
+    f"LogWriter._write = frozen\nimport fiohost.bench.writer as w; w.CLOSE_LIMIT_S = 0.5\n{MAIN}"
 )
 
 
@@ -151,7 +151,6 @@ def test_a_reader_of_standard_error_who_stops_reading(board: PtyBoard, tmp_path:
 
 def test_a_guardian_that_was_ended_is_missed(board: PtyBoard, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fiohost.bench.guardian.DEAF_LIMIT_S", 0.5)
-    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
     with board.bench() as bench:
         assert bench._guardian is not None
         pid = bench._guardian.pid

@@ -155,6 +155,7 @@ def test_an_incomplete_last_line_is_dropped_and_said_so(tmp_path: Path) -> None:
         ("t,u,y,y\n0,1,2,3\n", "2 columns named 'y'"),
         ("t,u,y\n0,1,2\n0.02,fast,3\n0.04,1,4\n", "line 3, column 'u': 'fast' is not a number"),
         ("t,u,y\n0,1,2\n0.02,1,nan\n0.04,1,4\n", "'nan' is not a finite number"),
+        ("t,u,y\n0,1,2\n0.02,1,1e308\n0.04,1,4\n", "'1e308' is not a finite number below 1e+30"),
         ("t,u,y\n0,1,2\n0.02,1,\n0.04,1,4\n", "an empty cell is not a number"),
         ("t,u,y\n0,1,2\n0.02,1\n0.04,1,4\n", "line 3: 2 cells under 3 column names"),
         ("t,u,y\n0,1,2\n0.02,1,3,4,5\n0.04,1,4\n", "line 3: 5 cells under 3 column names"),

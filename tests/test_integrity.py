@@ -81,6 +81,9 @@ def test_what_is_missing_is_said(log: Path) -> None:
     killed = log.with_name("killed.csv")
     killed.write_text("".join(lines[: first + 40]).replace("# ending: complete", "# ending: unfinished"))
     assert "the host did not close it" in check(killed).stdout
+    lost = log.with_name("lost.csv")
+    lost.write_text("".join(lines[: first + 40]))
+    assert "the end of the file is lost" in check(lost).stdout
 
 
 def test_an_edited_number_is_found(log: Path, tmp_path: Path) -> None:

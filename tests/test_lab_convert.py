@@ -134,6 +134,8 @@ def test_gain_and_phase_are_scipys() -> None:
         (["--constants", "no_lod"], "did you mean 'no_load'"),
         (["--constants", "no_load", "--output", "sped"], "did you mean 'speed'"),
         (["--poles", "x"], "is no number"),
+        (["--den", "1e-320,1"], "which no motor has"),
+        (["--den", "1,0,1e-310"], "which no motor has"),
     ],
 )
 def test_what_is_no_transfer_function_is_refused(arguments: list[str], told: str) -> None:

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from boards import WatchedTransport, bench_on, rows_of
+from boards import HANG_S, WatchedTransport, bench_on, rows_of
 from test_cli_drive import FIOHOST, ROOT
 
 from fiohost.bench.log import Log
 from fiohost.panel.keys import Decoder, Keyboard, KeyProgram
 from fiohost.wire.messages import Command
 
-LIMIT_S = 240.0  # for hangs only: a first run compiles
+LIMIT_S = HANG_S
 BRAKE = "00 00 00 00 01 01"
 BRAKED, STANDBY = (0.0, 1, 1), (0.0, 0, 0)
 UP, DOWN, PAGE_UP, SHIFT_DOWN = "\x1b[A", "\x1bOB", "\x1b[5~", "\x1b[1;2B"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import rows_of
+from boards import HANG_S, rows_of
 from desktop import Chromium, needed
 from lines import PtyBoard
 from panel_runs import Run, arrives, joins, press, refuses, running
@@ -191,12 +191,12 @@ def test_names_of_others_and_addresses_without_the_token_are_refused(bind: str) 
 
     with running("--web", "--port", "0", "--bind", bind) as run:
         asyncio.run(session(run))
-        assert run.process.wait(240) == 130
+        assert run.process.wait(HANG_S) == 130
 
 
 @pytest.mark.parametrize("bind", ["127.0.0.1/../", "no such name", "x" * 300, "\x1b[2J", "203.0.113.7"])
 def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
-    done = subprocess.run([*FIOHOST, "panel", "--web", "--bind", bind], capture_output=True, text=True, timeout=240)
+    done = subprocess.run([*FIOHOST, "panel", "--web", "--bind", bind], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert "cannot serve the panel at" in done.stderr
@@ -207,7 +207,7 @@ def test_a_board_that_goes_silent_leaves_no_traceback(tmp_path: Path) -> None:
                                       "--guard", "gap_s=20") as run:  # fmt: skip
         run.until(run.braked)
         board.unplug()
-        assert run.process.wait(240) == 1
+        assert run.process.wait(HANG_S) == 1
     said = "\n".join(run.said())
     assert "went away" in said
     assert "ConnectionResetError" not in said

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from boards import HANG_S
 from desktop import Screen, needed
 from panel_runs import Run, running
 from test_cli_drive import FIOHOST, ROOT
@@ -88,7 +89,7 @@ def test_in_a_window_the_mouse_drives_brakes_and_stops_and_closing_it_brakes() -
 
 def test_where_no_window_can_be_opened_that_is_said_and_the_browser_named() -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")}
-    done = subprocess.run([*FIOHOST, "panel"], env=environment, capture_output=True, text=True, timeout=240)
+    done = subprocess.run([*FIOHOST, "panel"], env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1
     assert "no window can be opened" in done.stderr
@@ -149,5 +150,5 @@ def test_the_controls_beside_the_picture_ask_what_they_say(what: str) -> None:
     script = Path(__file__).with_name("panel_beside.py")
     with Screen() as screen:
         words = [sys.executable, str(script), what]
-        done = subprocess.run(words, env=screen.environment, capture_output=True, text=True, timeout=240)
+        done = subprocess.run(words, env=screen.environment, capture_output=True, text=True, timeout=HANG_S)
     assert done.stdout == "done\n", done.stderr[-2000:]

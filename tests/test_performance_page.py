@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from boards import HANG_S
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
@@ -60,7 +61,7 @@ def test_the_keyboard_waits_no_longer_than_is_asked() -> None:
     """What is imported, not how long it takes: nothing heavy before a command is known."""
     told = subprocess.run(
         [sys.executable, "-c", "import sys, fiohost.cli.main; print(*sys.modules)"],
-        check=True, stdout=subprocess.PIPE, text=True, timeout=120,
+        check=True, stdout=subprocess.PIPE, text=True, timeout=HANG_S,
     ).stdout.split()  # fmt: skip
     assert "click" in told
     assert not {"numpy", "scipy", "numba", "pandas", "pyarrow", "matplotlib", "rich"} & set(told)

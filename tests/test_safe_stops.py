@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
-from boards import WatchedTransport, bench_on, rows_of
+from boards import HANG_S, WatchedTransport, bench_on, rows_of
 from lines import BRAKE, PtyBoard, patient
 
 from fiohost.bench.log import Log
@@ -25,11 +25,8 @@ from fiohost.transport.serial import SerialTransport
 
 ROOT = Path(__file__).parent.parent
 FORWARD = (1440, 1, 0)  # 40 % as the board takes it
-LIMIT_S = 60.0
-# a busy machine holds up the board's thread too
-PATIENT_HOST = (
-    "from fiohost.bench import line; line.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
-)
+LIMIT_S = HANG_S
+MAIN = "from fiohost.cli.main import main; main()"
 DRIVE = ["manual", "--pwm", "40"]
 
 
@@ -37,7 +34,7 @@ class Host:
     """``fiohost`` in a process of its own, on a board; its standard error goes to a file."""
 
     def __init__(
-        self, board: PtyBoard, folder: Path, *arguments: str, gap_s: float = 20.0, code: str = PATIENT_HOST, **how: Any
+        self, board: PtyBoard, folder: Path, *arguments: str, gap_s: float = 20.0, code: str = MAIN, **how: Any
     ) -> None:
         self.board, self.log, self.errors = board, folder / "run.csv", folder / "errors.txt"
         command = [
@@ -49,6 +46,8 @@ class Host:
             f"serial:{board.target}",
             "--guard",
             f"gap_s={gap_s}",
+            "--guard",
+            "silence_s=10",  # a busy machine holds up the board's thread too
             "--guard",
             "late_pct=100",
         ]
@@ -193,7 +192,7 @@ def test_a_full_disk_under_what_is_said(board: PtyBoard, tmp_path: Path) -> None
 
 def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Path) -> None:
     """Standard output and error closed, as some services start their children: the run is the same."""
-    shell = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-c", PATIENT_HOST]
+    shell = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", sys.executable, "-c", MAIN]
     arguments = [
         *DRIVE,
         "--duration",
@@ -202,10 +201,7 @@ def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Pat
         "run.csv",
         "--target",
         f"serial:{board.target}",
-        "--guard",
-        "gap_s=20",
-        "--guard",
-        "late_pct=100",
+        *("--guard", "gap_s=20", "--guard", "silence_s=10", "--guard", "late_pct=100"),
     ]
     assert subprocess.run([*shell, *arguments], cwd=tmp_path, timeout=LIMIT_S, check=False).returncode == 0
     whole(tmp_path / "run.csv", "complete")
@@ -284,8 +280,7 @@ def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path
     assert Log.read(host.log).metadata["ending"].startswith("stopped: MotorRunningError")
 
 
-def test_a_board_that_runs_already_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
+def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
     with PtyBoard(runs_away=True) as board, board.bench() as bench:
         with pytest.raises(MotorRunningError, match="before the run"):
             bench.drive(40.0, 1.0)
@@ -293,10 +288,7 @@ def test_a_board_that_runs_already_is_not_driven(tmp_path: Path, monkeypatch: py
         board.runs_away = False
 
 
-def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(
-    board: PtyBoard, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
+def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyBoard) -> None:
     with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
         board.runs_away = True
         assert len(bench.drive(0.0, 1.0)) > 0

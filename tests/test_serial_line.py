@@ -26,13 +26,6 @@ from fiohost.transport import serial as serial_line
 from fiohost.transport.serial import SerialTransport
 
 
-@pytest.fixture(autouse=True)
-def _patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine that has much to do holds up the board's thread too; only silence itself is tried as it is."""
-    if "silence" not in request.node.name:
-        monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 5.0)
-
-
 def test_a_run_over_a_pty_begins_and_ends_braked_and_is_logged(tmp_path: Path) -> None:
     with PtyBoard() as board:
         with board.bench() as bench:
@@ -131,7 +124,7 @@ def test_fifty_ms_of_silence_brake() -> None:
         return packet if k < 120 else b""
 
     with PtyBoard(mangle=mangle) as board:
-        with pytest.raises(TelemetryTimeoutError), board.bench() as bench:
+        with pytest.raises(TelemetryTimeoutError), board.bench(silence_s=0.05) as bench:
             bench.drive(40.0, 30.0)
         time.sleep(0.02)
         assert board.braked
@@ -139,7 +132,7 @@ def test_fifty_ms_of_silence_brake() -> None:
 
 def test_a_line_of_garbage_alone_is_as_good_as_silence() -> None:
     with PtyBoard(mangle=lambda k, packet: packet if k < 120 else b"\x7e\x7e\x00\x01\x02") as board:
-        with pytest.raises((TelemetryTimeoutError, TransportError)), board.bench() as bench:
+        with pytest.raises((TelemetryTimeoutError, TransportError)), board.bench(silence_s=0.05) as bench:
             bench.drive(40.0, 30.0)
         time.sleep(0.05)
         assert board.braked
@@ -262,7 +255,7 @@ def test_the_command_line_waits_for_a_board_and_says_what_came_of_it(
 
     boards.append(PtyBoard(link, mangle=mangle))
     arguments = ["manual", "--pwm", "40", "--target", f"serial:{link}", "--reconnect", "20", "--json", "-"]
-    arguments += ["--guard", "gap_s=20", "--guard", "late_pct=100"]
+    arguments += ["--guard", "gap_s=20", "--guard", "late_pct=100", "--guard", "silence_s=10"]
     answer = CliRunner().invoke(cli, arguments)
     for board in boards:
         board.unplug()

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from boards import rows_of
+from boards import HANG_S, rows_of
 
 from fiohost.bench.connect import connect
 from fiohost.bench.log import Log
@@ -24,15 +24,7 @@ from firmware_model.lines.node import NodeLine, PtyLine
 from firmware_model.serve import serve
 
 ROOT = Path(__file__).parent.parent
-# a busy machine holds up the board's process too
-PATIENT_HOST = (
-    "from fiohost.bench import line; line.TELEMETRY_TIMEOUT_S = 2.0; from fiohost.cli.main import main; main()"
-)
-
-
-@pytest.fixture(autouse=True)
-def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fiohost.bench.line.TELEMETRY_TIMEOUT_S", 2.0)
+PATIENT = {"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0}  # a busy machine holds up the board's process too
 
 
 @contextmanager
@@ -45,7 +37,7 @@ def served(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
         yield board
     finally:
         board.send_signal(signal.SIGTERM)
-        board.communicate(timeout=60)
+        board.communicate(timeout=HANG_S)
 
 
 def counts_since(link: Path, seconds: float) -> list[int]:
@@ -79,19 +71,16 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
             str(trace),
             "--target",
             target,
-            "--guard",
-            "gap_s=20",
-            "--guard",
-            "late_pct=100",
+            *(word for key, value in PATIENT.items() for word in ("--guard", f"{key}={value}")),
         ]
         host = subprocess.Popen(
-            [sys.executable, "-c", PATIENT_HOST, *arguments],
+            [sys.executable, "-m", "fiohost", *arguments],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
             cwd=ROOT,
         )
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + HANG_S
         while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 80):
             time.sleep(0.02)
         guardian = Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text().split()[0]
@@ -107,7 +96,7 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
         assert full > 3.0  # the board holds the last command, for 20 steps or for ever
         assert (sum(counts[26:30]) / 4 < 0.9 * full) == watchdog  # one step to latch it, and some to be seen in counts
         assert (sum(counts[-20:]) == 0) == watchdog
-        with connect(f"serial:{link}") as bench:  # the next host brakes it first of all
+        with connect(f"serial:{link}", guards=PATIENT) as bench:  # the next host brakes it first of all
             bench.settle()
         assert sum(counts_since(link, 0.1)) == 0
         assert board.poll() is None
@@ -115,12 +104,12 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
 
 def test_the_board_is_driven_as_in_this_process(tmp_path: Path) -> None:
     with served(tmp_path / "board") as board:
-        with connect(f"serial:{tmp_path / 'board'}", guards={"gap_s": 20.0, "late_pct": 100.0}) as bench:
+        with connect(f"serial:{tmp_path / 'board'}", guards=PATIENT) as bench:
             log = bench.drive(40.0, 1.5)
         with connect("sim") as bench:
             there = bench.drive(40.0, 1.5)
         board.send_signal(signal.SIGINT)
-        said = board.communicate(timeout=60)[0]
+        said = board.communicate(timeout=HANG_S)[0]
     assert board.returncode == 0
     assert "steps" in said
     assert not (tmp_path / "board").exists()

@@ -1,7 +1,7 @@
 """The line as the bench has it, tick by tick: a command out, the newest reading in, and the board's steps counted.
 
-A tick without telemetry, or with a report that cannot be one, is counted and passed over; TELEMETRY_TIMEOUT_S of them
-in a row are an error. A lock-step board is paced by the clock, any other keeps its own time.
+A tick without telemetry, or with a report that cannot be one, is counted and passed over; ``silence_s`` of them in a
+row are an error. A lock-step board is paced by the clock, any other keeps its own time.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from fiohost.transport.profile import TargetProfile
 from fiohost.wire.link import Link
 from fiohost.wire.messages import Command, Telemetry
 
-TELEMETRY_TIMEOUT_S = 0.05
-SILENCE = f"no telemetry for {1e3 * TELEMETRY_TIMEOUT_S:g} ms: the board stopped sending; check power and cable"
 GAP_S = 0.1  # after so long without a reading, queues may have lost reports: the clock counts too
 LATE_TICKS = 1.5
 SLEPT_S = 1.0  # the host slept: it does not hurry through the ticks of that time
@@ -37,6 +35,10 @@ class Line:
         self.read_s = self._due_s = clock.now_s()
         self._steps_read = 0  # the steps at the last reading
         self._lost_in_a_row = 0
+        self._silence_s = profile.guards.silence_s
+        self._silence = (
+            f"no telemetry for {1e3 * self._silence_s:g} ms: the board stopped sending; check power and cable"
+        )
         self.host_was_late = False  # in the last tick: not the board
         self.count_anew()
 
@@ -57,7 +59,7 @@ class Line:
 
     def tick(self) -> Telemetry | None:
         """Telemetry of this tick, or None where nothing came that could be one. Raises ReportError or
-        TelemetryTimeoutError after TELEMETRY_TIMEOUT_S of nothing, DisconnectedError.
+        TelemetryTimeoutError after ``silence_s`` of nothing, DisconnectedError.
         """
         lock_step = self.transport.lock_step
         late_s = self._wait() if lock_step else 0.0
@@ -68,7 +70,7 @@ class Line:
             reading = self._newest(before_s)
         except TelemetryTimeoutError as exc:
             if not lock_step:
-                raise TelemetryTimeoutError(f"{SILENCE} ({exc})") from exc
+                raise TelemetryTimeoutError(f"{self._silence} ({exc})") from exc
             statistics.silent += 1
             problem: TransportError = exc
         except ReportError as exc:
@@ -82,11 +84,11 @@ class Line:
             return reading
         statistics.count(late_s if lock_step else self.clock.now_s() - before_s - self.profile.sample_time_s)
         self._lost_in_a_row += 1
-        if self._lost_in_a_row * self.profile.sample_time_s >= TELEMETRY_TIMEOUT_S:
+        if self._lost_in_a_row * self.profile.sample_time_s >= self._silence_s:
             self._lost_in_a_row = 0
             if isinstance(problem, ReportError):
                 raise problem
-            raise TelemetryTimeoutError(SILENCE) from problem
+            raise TelemetryTimeoutError(self._silence) from problem
         return None
 
     def _judge(self, turned_s: float, waited_s: float, unread: int) -> None:
@@ -100,7 +102,7 @@ class Line:
             self.statistics.host_late += max(1, unread)
 
     def newest(self) -> Telemetry:
-        """The newest reading, waited for as long as TELEMETRY_TIMEOUT_S, of whatever tick.
+        """The newest reading, waited for as long as ``silence_s``, of whatever tick.
 
         Raises TelemetryTimeoutError, ReportError, DisconnectedError.
         """
@@ -118,7 +120,7 @@ class Line:
         transport, link = self.transport, self.link
         if self.guardian is not None:
             self.guardian.beat()
-        deadline_s, left_s = now_s + TELEMETRY_TIMEOUT_S, TELEMETRY_TIMEOUT_S
+        deadline_s, left_s = now_s + self._silence_s, self._silence_s
         unseen, unread = transport.passed_over, link.passed_over
         self.steps += 1  # holds where nothing comes that tells more
         problem: ReportError | None = None
@@ -136,7 +138,7 @@ class Line:
                     break
                 left_s = deadline_s - self.clock.now_s()
                 if left_s <= 0.0:  # a stream of garbage never ends by itself
-                    raise TelemetryTimeoutError(f"no good report for {1e3 * TELEMETRY_TIMEOUT_S:g} ms") from problem
+                    raise TelemetryTimeoutError(f"no good report for {1e3 * self._silence_s:g} ms") from problem
         finally:
             self.statistics.passed_over += transport.passed_over - unseen + link.passed_over - unread
         self._count_steps()

@@ -36,6 +36,7 @@ MAX_LOG_BYTES = 640_000_000  # 10 million rows with every column that a run writ
 PIECE_BYTES = 8_000_000  # of rows that are read at a time: what is in between takes little memory
 HEAD_BYTES = MAX_METADATA_LINES * MAX_LINE_CHARS
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+MAX_NUMBER = 1e12  # of a time (s) or an output: beyond it no shaft turns and no run lasts; squares stay finite
 MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broken time column, not a gap
 DUTY_TOLERANCE_PCT = 0.01
 DEFAULT_COUNTS_PER_REV = 720
@@ -128,13 +129,21 @@ class Log:
     def _checked(
         cls, metadata: dict[str, str], columns: dict[str, FloatArray], path: Path, sha256: str, notes: list[str]
     ) -> Log:
-        whole = np.isfinite(columns["time_s"])
-        for name in needed_columns(list(columns)):
-            whole &= np.isfinite(columns[name])
+        needed = needed_columns(list(columns))
+        whole = np.abs(columns["time_s"]) <= MAX_NUMBER
+        for name in needed:
+            whole &= np.abs(columns[name]) <= MAX_NUMBER
         if not np.all(whole):
             first = int(np.argmin(whole))
-            notes.append(f"{int(np.sum(~whole))} rows with missing or infinite numbers (the first is row {first + 1})")
+            notes.append(
+                f"{int(np.sum(~whole))} rows with missing or infinite numbers, or beyond {MAX_NUMBER:g} (the first is "
+                f"row {first + 1})"
+            )
             columns = {name: values[whole] for name, values in columns.items()}
+        for name, values in columns.items():  # a picture of what is beyond cannot be drawn either
+            if name not in needed and np.any(np.abs(values) > MAX_NUMBER):
+                columns[name] = np.where(np.abs(values) > MAX_NUMBER, np.nan, values)
+                notes.append(f"numbers beyond {MAX_NUMBER:g} in column {name}")
         time_s = columns["time_s"]
         if time_s.size:
             steps = np.diff(time_s)

@@ -40,10 +40,11 @@ def fleet(
       fiohost fleet benches.csv --out result --fit-only
       fiohost fleet line/ --out result --scheduler tcp://10.0.0.5:8786
     """
-    from fiohost.files import make_folder
+    from fiohost.errors import ConfigError
+    from fiohost.files import claim, make_folder, overwriting
     from fiohost.fleet.benches import find_benches
     from fiohost.fleet.page import write_fleet_page
-    from fiohost.fleet.run import run_fleet
+    from fiohost.fleet.run import KEPT, run_fleet
     from fiohost.fleet.summary import summarised, write_table
     from fiohost.fleet.work import Settings
     from fiohost.motor.model import Model
@@ -57,15 +58,19 @@ def fleet(
     text = None if is_expression else find_config("models", model).read_text(encoding="utf-8")
     settings = Settings(model if is_expression else "", text, not fit_only, parse_seed(seed) or 0)
     make_folder(out)
+    if os.path.samefile(folder, out):
+        raise ConfigError(f"the results would lie among the benches: give --out another folder than {folder}")
+    table, page = out / "fleet.parquet", out / "fleet.html"
+    if not (out / KEPT).is_dir():  # what is there is of no earlier run
+        for path in (table, page):
+            claim(path)
     where = f"the cluster at {scheduler}" if scheduler else f"{many} local process{'es' if many > 1 else ''}"
     say(f"{len(benches)} benches on {where}")
     rows = run_fleet(benches, out, settings, processes=many, scheduler=scheduler, say=say)
     found = summarised(rows)
-    write_table(found, out / "fleet.parquet")
-    from fiohost import files
-
-    with files.overwriting():  # both are made of what is kept beside them
-        write_fleet_page(found, out / "fleet.html")
+    with overwriting():  # both are made of what is kept beside them
+        write_table(found, table)
+        write_fleet_page(found, page)
     result = found.to_json()
     for name, count in found.effects.items():
         say(f"  {name}: {count} of {len(rows)} benches")

@@ -9,9 +9,10 @@ import errno
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 import click
 
@@ -205,6 +206,18 @@ def _hear(level: int) -> None:
     logger.setLevel(min(level, logger.level or level))
 
 
+def _warned(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """What a library warns of is for who looks for a fault (--debug), not for who drives a motor."""
+    logging.getLogger("fiohost").debug("%s:%d: %s: %s", filename, lineno, category.__name__, message)
+
+
 def _set_level(ctx: click.Context, parameter: click.Parameter, value: int | bool) -> None:
     if not value:
         return
@@ -245,6 +258,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")  # a locale that has no umlauts ends no command
     _hear(logging.WARNING)
+    if not sys.warnoptions:  # python -W asks for them
+        warnings.showwarning = _warned
     cli.main(args=list(arguments) if arguments is not None else None, prog_name="fiohost")
 
 

@@ -6,13 +6,16 @@ Values come as text and are read here: a number out of range is a refusal (exit 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 from fiohost.errors import ConfigError
+from fiohost.files import entries
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 # what of a folder is taken for logs and tables
@@ -144,13 +147,15 @@ def expanded(paths: Sequence[Path], what: str) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in TABLES and p.is_file())
+        if os.path.isdir(path):  # pathlib's raises where a name is too long
+            inside = [
+                p for p in entries(path, "the folder", ConfigError) if p.suffix.lower() in TABLES and os.path.isfile(p)
+            ]
             if not inside:
                 raise ConfigError(f"{what} {path}: the folder holds no log or table ({', '.join(TABLES)})")
             found += inside
-        elif any(mark in path.name for mark in "*?[") and not path.exists():
-            inside = sorted(path.parent.glob(path.name))
+        elif any(mark in path.name for mark in "*?[") and not os.path.exists(path):
+            inside = [p for p in entries(path.parent, "the folder", ConfigError) if fnmatchcase(p.name, path.name)]
             if not inside:
                 raise ConfigError(f"{what} {path}: no file fits this pattern")
             found += inside

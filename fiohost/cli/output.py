@@ -58,8 +58,9 @@ class Output:
     def is_terminal(self) -> bool:
         return self.stream.isatty()
 
-    def __call__(self, text: str = "") -> None:
-        click.echo(files.escaped(text, styled=True), file=self.stream)
+    def __call__(self, text: str = "", *, styled: bool = False) -> None:
+        """Print one line. *styled*: its colours are this program's own, and it holds no name of anybody else's."""
+        click.echo(files.escaped(text, styled=styled), file=self.stream)
 
     @property
     def console(self) -> Console:

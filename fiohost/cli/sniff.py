@@ -143,7 +143,7 @@ def _show(out: Output, profile: TargetProfile, dump: Dump, event: Event, every: 
         for number, row in enumerate(hex_rows(event.data, marks)):
             text = "".join(click.style(item, fg="yellow", bold=True) if changed else item for item, changed in row)
             head = f"{event.time_s:10.4f} {event.direction:>3} " if number == 0 else " " * 15
-            out(f"{head}{text}{'   ' + words if number == 0 and words else ''}")
+            out(f"{head}{text}{'   ' + words if number == 0 and words else ''}", styled=True)
     return refused
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from fiohost.errors import ConfigError, LogError
-from fiohost.files import read_input
+from fiohost.files import entries, read_input
 
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".h5", ".hdf5", ".parquet")
 MOST_BYTES = 256_000_000
+MOST_TABLE_BYTES = 50_000_000  # of benches
 HOLDOUT = "holdout"
 
 
@@ -42,11 +45,11 @@ def key_of(contents: Mapping[str, bytes], settings: str) -> str:
 
 def find_benches(folder: Path) -> list[Bench]:
     """Benches of a folder (one folder each; its files where it has none) or of a table's rows. Raises ConfigError."""
-    if folder.is_file():
+    if os.path.isfile(folder):
         return _of_table(folder)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise ConfigError(f"there is no folder or table {folder}")
-    inside = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
+    inside = [p for p in _entries(folder) if p.is_dir() and not p.name.startswith(".")]
     found = [Bench(p.name, _tables(p), _tables(p / HOLDOUT) if (p / HOLDOUT).is_dir() else ()) for p in inside]
     found = [bench for bench in found if bench.logs]
     found = found or [Bench(p.stem, (p,)) for p in _tables(folder)]
@@ -56,7 +59,11 @@ def find_benches(folder: Path) -> list[Bench]:
 
 
 def _tables(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in TABLES))
+    return tuple(p for p in _entries(folder) if p.is_file() and p.suffix.lower() in TABLES)
+
+
+def _entries(folder: Path) -> list[Path]:
+    return entries(folder, "the folder", ConfigError)
 
 
 def _of_table(path: Path) -> list[Bench]:
@@ -65,9 +72,10 @@ def _of_table(path: Path) -> list[Bench]:
         import pandas
     except ImportError:
         raise ConfigError("a table of benches needs pandas: pip install 'fiohost[data]'") from None
+    data = io.BytesIO(read_input(path, MOST_TABLE_BYTES, "the table of benches", ConfigError))
     try:
         parquet = path.suffix.lower() == ".parquet"
-        table = pandas.read_parquet(path) if parquet else pandas.read_csv(path, dtype=str, keep_default_na=False)
+        table = pandas.read_parquet(data) if parquet else pandas.read_csv(data, dtype=str, keep_default_na=False)
     except (ValueError, OSError) as exc:
         raise ConfigError(f"{path} is no table of benches: {exc}") from exc
     for name in ("bench", "logs"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fiohost.errors import ConfigError, FiohostError
+from fiohost.errors import ConfigError
+from fiohost.files import write_output
 from fiohost.fleet.together import APART_Z, Population, calibrated, population, trend, z_scores
 
 SCHEMA = "fiohost.fleet/1"
@@ -166,13 +168,12 @@ def _finite(value: float) -> float | None:
 
 
 def write_table(fleet: Fleet, path: Path) -> None:
-    """Write the table as Parquet. Raises FiohostError."""
+    """Write the table as Parquet, whole or not at all. Raises FiohostError."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
         raise ConfigError("the table of a fleet needs pyarrow: pip install 'fiohost[data]'") from None
-    try:
-        pyarrow.parquet.write_table(pyarrow.table(columns_of(fleet)), path)
-    except OSError as exc:
-        raise FiohostError(f"cannot write the table {path}: {exc}") from exc
+    made = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(columns_of(fleet)), made)
+    write_output(path, made.getvalue())

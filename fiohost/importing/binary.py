@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,11 +23,14 @@ from fiohost.importing.raw import (
     RawTable,
     checked_size,
     unique_names,
+    within_reason,
 )
 
 MAX_DEPTH = 8
 MAX_ITEMS = 10_000
 SHORTEST = 2  # rows of what may be a column
+MOST_UNPACKED = 1_000_000_000  # bytes: a small file may be compressed from more than any computer has
+_MAT_HEAD, _MAT_COMPRESSED = 128, 15  # of a MATLAB v5 file: bytes before its elements, and the kind that is compressed
 
 
 def read_mat(path: Path) -> RawTable:
@@ -34,6 +38,7 @@ def read_mat(path: Path) -> RawTable:
     from scipy.io import loadmat
 
     data = files.read_input(path, MAX_BYTES, "the MATLAB file", LogError)
+    _check_unpacked(path, _mat_bytes(data))
     try:
         import io
 
@@ -52,12 +57,15 @@ def read_hdf5(path: Path) -> RawTable:
     data = files.read_input(path, MAX_BYTES, "the HDF5 file", LogError)
     found: dict[str, Any] = {}
     units: dict[str, str] = {}
+    sizes: list[int] = []
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or len(found) >= MAX_ITEMS or name.startswith("#refs#"):
             return
-        if item.size > MAX_BYTES or item.dtype.kind == "O":
+        if item.dtype.kind == "O" or item.size is None:  # an empty one has no size
             return
+        sizes.append(item.size * item.dtype.itemsize)
+        _check_unpacked(path, sum(sizes))
         unit = next((item.attrs[k] for k in ("units", "unit", "Unit", "Units") if k in item.attrs), "")
         values = item[()]
         if values.dtype.names:
@@ -74,6 +82,8 @@ def read_hdf5(path: Path) -> RawTable:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
+    except LogError:
+        raise
     except Exception as exc:
         raise LogError(f"{path} cannot be read as HDF5: {_short(exc)}") from exc
     leaves: dict[str, Any] = {}
@@ -93,12 +103,16 @@ def read_parquet(path: Path) -> RawTable:
     try:
         import io
 
-        table = parquet.read_table(io.BytesIO(data))
+        file = parquet.ParquetFile(io.BytesIO(data))
+        checked_size(path, file.metadata.num_rows, file.metadata.num_columns)
+        table = file.read()
         leaves = {name: table.column(name).to_numpy() for name in table.column_names}
         units = {
             field.name: ((field.metadata or {}).get(b"unit") or (field.metadata or {}).get(b"units") or b"").decode()
             for field in table.schema
         }
+    except LogError:
+        raise
     except Exception as exc:
         raise LogError(f"{path} cannot be read as Parquet: {_short(exc)}") from exc
     return _table(path, data, leaves, "Parquet", units)
@@ -118,6 +132,29 @@ def read_frame(frame: Any, name: str = "(frame)") -> RawTable:
         digest.update(values.tobytes() if values.dtype.kind != "O" else repr(values.tolist()).encode())
     units = {str(k): str(v) for k, v in (frame.attrs.get("units") or {}).items()} if frame.attrs else {}
     return _table(Path(name), b"", leaves, "pandas DataFrame", units, digest.hexdigest())
+
+
+def _mat_bytes(data: bytes) -> int:
+    """How many bytes the compressed elements of a MATLAB v5 file become, or the first sum beyond what is allowed."""
+    order: Literal["little", "big"] = "little" if data[126:128] == b"IM" else "big"
+    at, total = _MAT_HEAD, 0
+    while at + 8 <= len(data) and total <= MOST_UNPACKED:
+        kind, size = (int.from_bytes(data[i : i + 4], order) for i in (at, at + 4))
+        if kind == _MAT_COMPRESSED:
+            unpacking, rest = zlib.decompressobj(), data[at + 8 : at + 8 + size]
+            try:
+                while rest and total <= MOST_UNPACKED:
+                    total += len(unpacking.decompress(rest, MAX_BYTES // 8))
+                    rest = unpacking.unconsumed_tail
+            except zlib.error:  # the reader says what is wrong
+                return total
+        at += 8 + size
+    return total
+
+
+def _check_unpacked(path: Path, size: int) -> None:
+    if size > MOST_UNPACKED:
+        raise LogError(f"{path} unpacks to more than {MOST_UNPACKED / 1e6:g} MB: cut it into shorter records")
 
 
 def _leaves(item: Any, name: str, depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -193,7 +230,7 @@ def _numbers(values: np.ndarray[Any, Any]) -> tuple[FloatArray, str, str]:
         texts = ["" if v is None or (isinstance(v, float) and np.isnan(v)) else str(v).strip() for v in values.tolist()]
         column = column_of("", "", texts, False, range(len(texts)))
         return column.values, column.kind, column.begins
-    return values.astype(np.float64), NUMBER, ""
+    return within_reason(values.astype(np.float64)), NUMBER, ""
 
 
 def _missing(values: FloatArray) -> tuple[int, str] | None:

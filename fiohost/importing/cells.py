@@ -9,7 +9,7 @@ from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
-from fiohost.importing.raw import NUMBER, TEXT, TIME, FloatArray, RawColumn
+from fiohost.importing.raw import MAX_NUMBER, NUMBER, TEXT, TIME, FloatArray, RawColumn, within_reason
 
 MISSING = frozenset(
     {"", "nan", "-", "--", "n/a", "na", "#n/a", "#nv", "null", "none", "?", "-nan", "1.#qnan", "missing"}
@@ -17,6 +17,7 @@ MISSING = frozenset(
 MOSTLY = 0.9  # share of a column's cells that make it one of numbers, the rest being wrong cells
 DAY_S = 86_400.0
 LOOKED_AT = 200  # cells that tell whether a column is one of times
+LONGEST = 80  # characters of a number with its unit; the patterns take long over a long cell that nearly fits
 
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _COMMA = re.compile(r"[+-]?(\d{1,3}(\.\d{3})+,\d+|\d+,\d*|,\d+)([eE][+-]?\d+)?$")
@@ -47,6 +48,8 @@ def number(cell: str, comma: bool) -> float | None:
 
     A unit behind the number is passed over, ``unit_behind`` tells it.
     """
+    if len(cell) > LONGEST:
+        return None
     cell = clean(cell)
     if _PLAIN.match(cell):
         return float(cell)
@@ -62,13 +65,14 @@ def number(cell: str, comma: bool) -> float | None:
 
 def unit_behind(cell: str) -> str:
     """The unit written behind a number in the same cell, or nothing."""
-    behind = _WITH_UNIT.match(clean(cell))
+    behind = _WITH_UNIT.match(clean(cell[:LONGEST]))
     return behind[2] if behind and not _PLAIN.match(cell) else ""
 
 
 def is_comma_number(cell: str) -> bool:
-    behind = _WITH_UNIT.match(clean(cell))
-    return bool(_COMMA.match(clean(cell)) or (behind and _COMMA.match(behind[1])))
+    cell = clean(cell) if len(cell) <= LONGEST else ""
+    behind = _WITH_UNIT.match(cell)
+    return bool(_COMMA.match(cell) or (behind and _COMMA.match(behind[1])))
 
 
 def is_point_number(cell: str) -> bool:
@@ -95,7 +99,7 @@ def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Se
             since, begins = times
             return RawColumn(name, since, unit, TIME, missing=_first_missing(cells, lines), begins=begins)
     found = [number(cell, comma) for cell in cells]
-    values = np.array([math.nan if value is None else value for value in found])
+    values = within_reason(np.array([math.nan if value is None else value for value in found]))
     wrong = [i for i, value in enumerate(found) if value is None and not is_missing(cells[i])]
     numbers = sum(value is not None for value in found)
     if numbers == 0 or (len(wrong) > 1 and len(wrong) > (1.0 - MOSTLY) * len(cells)):
@@ -122,7 +126,7 @@ def _fast(cells: Sequence[str], comma: bool) -> FloatArray | None:
         values = np.array(joined.split("\n"), dtype=np.str_).astype(np.float64)
     except ValueError:
         return None
-    return values if values.size == len(cells) and np.isfinite(values).all() else None
+    return values if values.size == len(cells) and (np.abs(values) < MAX_NUMBER).all() else None
 
 
 def _first_missing(cells: Sequence[str], lines: Sequence[int]) -> tuple[int, str] | None:
@@ -196,7 +200,7 @@ def _with_days(
                     known[key] = date(year, month, day).toordinal()
         except ValueError:
             continue
-        first = min(known.values())
+        first = min(known.values(), default=0)  # a year 0 is none
         times = seconds + DAY_S * np.array([known.get(key, first) - first for key in days])
         if best is None or np.nanmax(times) - np.nanmin(times) < np.nanmax(best[0]) - np.nanmin(best[0]):
             best = times, first

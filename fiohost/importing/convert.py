@@ -14,7 +14,7 @@ from fiohost.bench.table_log import log_text, write_log
 from fiohost.errors import DataError, LogError
 from fiohost.files import Output
 from fiohost.importing.map import REFUSE, TableMap
-from fiohost.importing.raw import NUMBER, TEXT, FloatArray, RawColumn, RawTable
+from fiohost.importing.raw import MAX_NUMBER, NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
 from fiohost.importing.times import spaced, times_s
 from fiohost.settings import counted
@@ -133,7 +133,8 @@ def _checked(column: RawColumn, raw: RawTable, table_map: TableMap) -> FloatArra
             continue
         line, cell = at
         what = f"{cell[:40]!r}" if cell else "an empty cell"
-        why = why or ("not a finite number" if cell and cell[0].lower() in "ni+-" and len(cell) > 2 else "not a number")
+        number_like = len(cell) > 2 and cell[0].lower() in "ni+-.0123456789"
+        why = why or (f"not a finite number below {MAX_NUMBER:g}" if number_like else "not a number")
         raise LogError(
             f"{raw.path} line {line}, column {column.name!r}: {what} is {why}; a missing sample must be a missing row"
         )

@@ -19,6 +19,7 @@ MAX_BYTES = 400_000_000
 MAX_ROWS = 5_000_000
 MAX_COLUMNS = 1_000
 MAX_CELLS = 30_000_000
+MAX_NUMBER = 1e30  # times in nanoseconds have 1e18; what recorders write for "no value" begins here
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,11 @@ class RawTable:
             if column.name == name:
                 return column
         raise LogError(f"{self.path} has no column {name!r}; {nearest(name, [n[:60] for n in self.names[:20] if n])}")
+
+
+def within_reason(values: FloatArray) -> FloatArray:
+    """The same numbers, shape (rows,), infinite where they are too large for a measurement."""
+    return np.where(np.abs(values) >= MAX_NUMBER, np.copysign(np.inf, values), values)
 
 
 def checked_size(path: Path, rows: int, columns: int) -> None:

@@ -13,6 +13,7 @@ from fiohost.importing.raw import FloatArray
 if TYPE_CHECKING:
     from fiohost.importing.map import TableMap
 
+SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between rows: as of a map's sample_time_s
 LONG_AGO_S = 1e5  # times that begin later count from something else than the run: the first row becomes 0
 
 
@@ -42,6 +43,11 @@ def spaced(time_s: FloatArray, path: Path) -> tuple[float, str]:
     if len(time_s) < 2:
         raise DataError(f"{path} has one row: at least two are needed to know the sample time")
     tick_s = sample_time(time_s)
+    if not SHORTEST_S <= tick_s <= LONGEST_S:
+        raise DataError(
+            f"{path}: rows are {tick_s:g} s apart, and a record of a motor has {SHORTEST_S:g} to {LONGEST_S:g} s: "
+            "is the unit of time right?"
+        )
     steps = np.diff(time_s) / tick_s
     jitter = float(np.abs(steps - np.rint(steps)).max())
     return tick_s, f"sample times jitter by up to {100 * jitter:.0f} % of a tick" if jitter > 0.1 else ""

@@ -23,6 +23,8 @@ MAP_UNITS: dict[str, tuple[str, str, float]] = {
     "mm": ("position", "position_m", 1e-3),
 }
 
+LONGEST = 300  # characters of a name in which a unit is looked for
+
 TIME, VOLTAGE, RATIO, CURRENT, TORQUE, TEMPERATURE = "time", "voltage", "ratio", "current", "torque", "temperature"
 ANGLE, SPEED, POSITION = "angle", "speed", "position"
 
@@ -87,6 +89,8 @@ _PER = re.compile(r"(?:_per_|_p_| per )")
 
 def unit_of(text: str) -> Unit | None:
     """The unit that a text is, or None."""
+    if len(text) > LONGEST:
+        return None
     key = re.sub(r"\s+", "", text.strip().strip("[](){}<>").lower()).replace("²", "^2")
     if key in ("n·m", "nm"):
         key = "nm"
@@ -104,6 +108,8 @@ def name_and_unit(head: str) -> tuple[str, str]:
     The unit is "" where none is told.
     """
     head = head.strip()
+    if len(head) > LONGEST:
+        return head, ""
     found = _BRACKETS.match(head)
     if found and (is_unit(found[2]) or not found[3]):
         inside = found[2].strip()

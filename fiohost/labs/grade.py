@@ -5,6 +5,7 @@ on a fresh record of the bench, which nobody has seen before and which no way of
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from fiohost.bench.seal import student_seed
 from fiohost.circle.plan import fresh
 from fiohost.circle.replay import replay
 from fiohost.errors import DataError, FiohostError
+from fiohost.files import entries
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.transport.instruments import break_seal
@@ -60,9 +62,9 @@ class Grade:
 
 def grade_folder(folder: Path, said: Callable[[str], None] = lambda text: None) -> list[Grade]:
     """Grade every model file ``STUDENT.toml`` of a folder, in order of names. Raises DataError where there is none."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise DataError(f"{folder} is no folder: put what was handed in into one, as STUDENT{SUFFIX}")
-    handed_in = sorted(path for path in folder.iterdir() if path.suffix == SUFFIX and path.is_file())
+    handed_in = [path for path in entries(folder, "the folder", DataError) if path.suffix == SUFFIX]
     if not handed_in:
         raise DataError(f"{folder} holds no model file: each student hands in STUDENT{SUFFIX}, from --save-model")
     if len(handed_in) > MOST_HANDED_IN:
@@ -76,7 +78,10 @@ def grade_folder(folder: Path, said: Callable[[str], None] = lambda text: None) 
 
 def grade(path: Path) -> Grade:
     """Compare one model file with the bench of the student that it is named after."""
-    truth = break_seal(student_seed(path.stem))
+    try:
+        truth = break_seal(student_seed(path.stem))
+    except FiohostError as exc:
+        return Grade(path.stem, problem=str(exc))
     reduced: Mapping[str, Mapping[str, Any]] = truth["reduced"]
     true_effects = tuple(name for name in truth.get("effects") or () if name not in ASIDE)
     try:

@@ -16,6 +16,7 @@ from fiohost.labs.constants import MotorConstants
 
 OUTPUTS = ("speed", "angle", "current")
 HIGHEST = 12  # order of a polynomial
+SMALLEST = 1e-100  # of a coefficient that is not 0: roots and their squares stay numbers
 SAME = 1e-9  # of the largest coefficient: less is none
 NEAR_ZERO = 1e-7  # of the largest pole
 
@@ -48,6 +49,8 @@ class TransferFunction:
         for name, values in (("numerator", num), ("denominator", den)):
             if not 1 <= len(values) <= HIGHEST + 1 or not np.isfinite(values).all():
                 raise ConfigError(f"the {name} has 1 to {HIGHEST + 1} finite coefficients, the highest power first")
+            if any(value and abs(value) < SMALLEST for value in values):
+                raise ConfigError(f"the {name} has a coefficient below {SMALLEST:g}, which no motor has")
         top, bottom = (np.trim_zeros(np.asarray(values, dtype=np.float64), "f") for values in (num, den))
         if not bottom.size or not top.size:
             raise ConfigError("a transfer function needs a numerator and a denominator that are not 0")

@@ -80,6 +80,7 @@ class Guards:
     speed_deg_s: float = 10_000.0  # no shaft turns faster: readings that say so are wrong ones
     late_pct: float = 1.0  # of the ticks may be missed or late because of the host
     gap_s: float = 0.1  # the host's loop stood still for so long: the guardian brakes, and the run ends
+    silence_s: float = 0.05  # without a good report: nobody knows what the motor does
 
     def changed(self, other: Mapping[str, float]) -> Guards:
         """These guards, with the values of *other* in the place of some. Raises ConfigError."""
@@ -100,6 +101,7 @@ _GUARDS = {
     "braked_deg_s": (0.0, 1e6),
     "gap_s": (0.02, 60.0),
     "late_pct": (0.0, 100.0),
+    "silence_s": (0.01, 60.0),
     "stall_s": (0.05, 1e9),
     "wrong_way_deg": (5.0, 1e9),
     "speed_deg_s": (1.0, 1e9),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -11,9 +12,11 @@ from fiohost.bench.head import read_head
 from fiohost.bench.integrity import PREFIX
 from fiohost.bench.log import Log
 from fiohost.errors import LogError
+from fiohost.files import open_input
 
 MOST_HEAD_BYTES = 2_000_000
 READ_BYTES = 4_000_000
+MOST_BYTES = 10**12  # of what is followed, a piece at a time: years
 POLL_S = 0.2
 
 
@@ -28,10 +31,7 @@ class GrowingLog:
         self._head = ""
         self._columns = 0
         self._time_column = 0
-        try:
-            self._file = path.open("rb")
-        except OSError as exc:
-            raise LogError(f"cannot read the log {path}: {exc.strerror}") from exc
+        self._file = open_input(path, MOST_BYTES, "the log", LogError)
 
     def close(self) -> None:
         self._file.close()
@@ -48,6 +48,8 @@ class GrowingLog:
         found: list[tuple[float, str]] = []
         if not self._head or not whole:
             self._rest = data
+            if len(data) > MOST_HEAD_BYTES:
+                raise LogError(f"{self.path} is not a log: {len(data)} bytes without an end of a line")
             return found
         for line in whole.decode("utf-8", errors="replace").split("\n"):
             if line.startswith(PREFIX):
@@ -56,9 +58,11 @@ class GrowingLog:
             if len(cells) != self._columns or line.startswith("#"):
                 continue
             try:
-                found.append((float(cells[self._time_column]), line))
+                time_s = float(cells[self._time_column])
             except ValueError:
                 continue  # the reader of logs says so of a whole file; here it is one row less
+            if math.isfinite(time_s):
+                found.append((time_s, line))
         return found
 
     def _take_head(self, data: bytes) -> bytes:

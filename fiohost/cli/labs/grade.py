@@ -66,7 +66,12 @@ def grade(folder: Path, tolerance: str, output: Path | None, json_to: str | None
     say(f"{len(grades)} handed in; effects right: {right}")
     if output is not None:
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([head, *rows])
+        csv.writer(text, lineterminator="\n").writerows([_as_text(cell) for cell in row] for row in (head, *rows))
         write_output(output, text.getvalue())
         say(f"table: {output}")
     say.json({"schema": "fiohost.grades/1", "tolerance_pct": allowed, "grades": [g.to_json(allowed) for g in grades]})
+
+
+def _as_text(cell: str) -> str:
+    """A cell that no spreadsheet takes for a formula, whatever a student has named a file or an effect."""
+    return f"'{cell}" if cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
