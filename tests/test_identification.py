@@ -38,6 +38,21 @@ def loop_log(gain: float, tau_s: float, kp: float = 1.0, effects: dict[str, dict
     return Log.from_columns(columns, {"kp_pct_per_deg": repr(kp), "controller": "p", "sample_time_s": str(TICK_S)})
 
 
+def speed_table(folder: Path, gain: float = 8.0, tau_s: float = 0.05) -> Path:
+    """A table of commands and speeds with sensor noise, as somebody's own recorder writes it."""
+    rng = np.random.default_rng(3)
+    times = np.arange(4000) * 0.01
+    duty = np.repeat(rng.choice((20.0, 35.0, 50.0, 65.0, 80.0), 40), 100)
+    speed, now = np.zeros(4000), 0.0
+    for k in range(3999):
+        now += (1.0 - math.exp(-0.01 / tau_s)) * (gain * duty[k] - now)
+        speed[k + 1] = now
+    rows = zip(times, duty, speed + 2.0 * rng.standard_normal(4000), strict=True)
+    path = folder / "drive.csv"
+    path.write_text("t (s),duty (%),speed (deg/s)\n" + "".join(f"{t:.3f},{u:.1f},{y:.3f}\n" for t, u, y in rows))
+    return path
+
+
 # ---- formulas ------------------------------------------------------------------------------------------------------
 
 
@@ -192,3 +207,30 @@ def test_the_command_identifies_a_run_of_the_simulated_board(tmp_path: Path, mon
     assert Path("fit.png").read_bytes()[:4] == b"\x89PNG"
     refused = CliRunner().invoke(cli, ["identify", "run.csv", "--plot", "run.csv"])
     assert refused.exit_code == 1
+
+
+# ---- logs of speed -------------------------------------------------------------------------------------------------
+
+
+def test_gain_and_lag_come_from_a_table_of_speeds(tmp_path: Path) -> None:
+    table, picture = speed_table(tmp_path), tmp_path / "fit.png"
+    result = CliRunner().invoke(
+        cli, ["identify", str(table), "--json", str(tmp_path / "x.json"), "--plot", str(picture)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "from duty to speed" in result.output
+    assert "deg/s rms" in result.output
+    told = json.loads((tmp_path / "x.json").read_text())
+    assert told["output_unit"] == "deg/s"
+    assert "rms_deg" not in told
+    assert told["rms"] == pytest.approx(2.0, rel=0.1)
+    for name, truth in (("gain_deg_s_per_pct", 8.0), ("tau_s", 0.05)):
+        value = told["parameters"][name]
+        assert value["value"] == pytest.approx(truth, rel=0.02)
+        assert value["ci95"][0] < truth < value["ci95"][1]
+    assert picture.stat().st_size > 10_000
+
+
+def test_a_loop_s_form_is_not_asked_of_speeds(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="needs the angle of a shaft"):
+        fiohost.identify(speed_table(tmp_path), "step")

@@ -51,7 +51,8 @@ def identify(
 
     step: overshoot and peak time of every step of a square wave, averaged (Eq. 2.7 of the INC451 lab text).
     pem: a fit of the loop's second-order form from reference to angle; from the duty, of K / (s (tau s + 1)) on the
-    commands. The intervals hold 95 %; what the form lacks, such as friction, is in none of them.
+    commands, to the angle or, of logs of speed, to the speed. The intervals hold 95 %; what the form lacks, such as
+    friction, is in none of them.
 
     \b
     Examples:
@@ -98,8 +99,9 @@ def motor_text(found: Identification) -> str:
 
 
 def _say(out: Output, found: Identification) -> None:
+    output = "angle" if found.output_unit == "deg" else "speed"
     source = {"step": "overshoot and peak time of the steps", "reference": "from reference to angle"}
-    what = source["step"] if found.method == "step" else source.get(found.fitted, "from duty to angle")
+    what = source["step"] if found.method == "step" else source.get(found.fitted, f"from duty to {output}")
     out(f"{found.method}: {what}, kp = {found.kp_pct_per_deg:g} %/deg")
     out("parameter        value         95 % interval       unit")
     for name, estimate in found.parameters.items():
@@ -115,6 +117,6 @@ def _say(out: Output, found: Identification) -> None:
                 f"{f.rise_s:6.3f} s  {f.peak_s:6.3f} s  {f.settling_2_s:6.3f} s      {f.steady_state_error:6.2f} deg"
             )
         out()
-    out(f"simulated against measured: {found.fit_pct:.1f} % fit, {found.rms_deg:.3g} deg rms")
+    out(f"simulated against measured: {found.fit_pct:.1f} % fit, {found.rms:.3g} {found.output_unit} rms")
     for note in found.notes:
         out(f"note: {note}")

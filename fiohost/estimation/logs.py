@@ -21,6 +21,7 @@ from fiohost.motor.model import Model
 from fiohost.settings import nearest
 
 METHODS = ("step", "pem")
+OUTPUTS = ("angle_deg", "speed_deg_s")
 GAIN, TAU, ZETA, OMEGA = "gain_deg_s_per_pct", "tau_s", "zeta", "omega_n_rad_s"
 UNITS = {GAIN: "deg/s per %", TAU: "s", ZETA: "", OMEGA: "rad/s", "static_gain": ""}
 DIFFERENCE = 1e-6
@@ -28,13 +29,16 @@ DIFFERENCE = 1e-6
 
 @dataclass(frozen=True)
 class Curve:
-    """One log as it was compared, arrays (n): the reference is None for an open loop."""
+    """One log as it was compared, arrays (n) in ``unit``: deg, or deg/s of a log of speeds. The reference is None for
+    an open loop.
+    """
 
     name: str
     time_s: np.ndarray
-    measured_deg: np.ndarray
-    simulated_deg: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
     ref_deg: np.ndarray | None
+    unit: str = "deg"
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,8 @@ class Identification:
     """What logs say of K / (s (tau s + 1)), and of the loop of proportional gain ``kp_pct_per_deg`` around it.
 
     ``parameters``: gain_deg_s_per_pct, tau_s, zeta, omega_n_rad_s, each with a 95 % interval; ``spread`` is their
-    standard deviation over the steps, of the method ``step`` alone. ``fit_pct`` and ``rms_deg`` compare the simulated
-    angle with the measured one.
+    standard deviation over the steps, of the method ``step`` alone. ``fit_pct`` and ``rms`` (in
+    ``output_unit``) compare what is simulated with what was measured.
     """
 
     method: str
@@ -51,7 +55,7 @@ class Identification:
     kp_pct_per_deg: float
     parameters: Mapping[str, Estimate]
     fit_pct: float
-    rms_deg: float
+    rms: float
     curves: Sequence[Curve] = field(repr=False)
     steps: Sequence[LoopStep] = ()
     spread: Mapping[str, float] = field(default_factory=dict)
@@ -59,6 +63,10 @@ class Identification:
 
     def value(self, name: str) -> float:
         return self.parameters[name].value
+
+    @property
+    def output_unit(self) -> str:
+        return self.curves[0].unit
 
     @property
     def model(self) -> Model:
@@ -74,7 +82,9 @@ class Identification:
             "parameters": {name: estimate.to_json() for name, estimate in self.parameters.items()},
             "spread": dict(self.spread),
             "fit_pct": self.fit_pct,
-            "rms_deg": self.rms_deg,
+            "output_unit": self.output_unit,
+            "rms": self.rms,
+            **({"rms_deg": self.rms} if self.output_unit == "deg" else {}),
             "logs": [curve.name for curve in self.curves],
             "steps": [_step_json(step) for step in self.steps],
             "notes": list(self.notes),
@@ -97,9 +107,9 @@ def identify(
     """K, tau, zeta and wn from one or more logs.
 
     ``step``: overshoot and peak time of every step of a closed loop's reference, averaged. ``pem``: a fit of simulated
-    to measured angle; ``fitted`` says from what, ``reference`` (a closed loop's second-order form) or ``duty`` (K / (s
-    (tau s + 1)) on the commands), by default the reference where all logs have one. ``kp_pct_per_deg`` is needed where
-    the logs do not say it. Raises FiohostError.
+    to measured angle or speed; ``fitted`` says from what, ``reference`` (a closed loop's second-order form) or ``duty``
+    (K / (s (tau s + 1)) on the commands), by default the reference where all logs have one. ``kp_pct_per_deg`` is
+    needed where the logs do not say it. Raises FiohostError.
     """
     given = [logs] if isinstance(logs, (Log, str, Path)) else list(logs)
     from fiohost.importing.automatic import read_any
@@ -113,10 +123,12 @@ def identify(
     source = fitted or ("reference" if closed else "duty")
     if source not in ("reference", "duty"):
         raise ConfigError(f"what is fitted is the reference or the duty, not {source!r}")
+    by_duty = source == "duty" and method == "pem"
     for log in read:
-        if log.output_name != "angle_deg":
-            raise DataError(f"{log.path} holds {log.output_name}: identification needs the angle of a shaft")
-    if source == "duty" and method == "pem":
+        if log.output_name not in (OUTPUTS if by_duty else OUTPUTS[:1]):
+            needs = "the angle or the speed of a shaft" if by_duty else "the angle of a shaft (a speed: --from duty)"
+            raise DataError(f"{log.path} holds {log.output_name}: identification needs {needs}")
+    if by_duty:
         return _from_duty(read, kp_pct_per_deg)
     if not closed:
         raise DataError(
@@ -247,8 +259,10 @@ def _carried(
 
 
 def _from_duty(logs: Sequence[Log], kp: float | None) -> Identification:
-    """K / (s (tau s + 1)) fitted to the angle on the commands."""
+    """K / (s (tau s + 1)) fitted to the angle, or K / (tau s + 1) to the speed, on the commands."""
     records = [record_from_log(log) for log in logs]
+    if len({r.unit for r in records}) > 1:
+        raise DataError("some logs hold angles and some speeds: identify from each kind apart")
     found = fit_from_scratch(Model(), records)
     motor = (found.model.number(f"linear.{GAIN}"), found.model.number(f"linear.{TAU}"))
     order = [found.names.index(f"linear.{name}") for name in (GAIN, TAU)]
@@ -259,7 +273,7 @@ def _from_duty(logs: Sequence[Log], kp: float | None) -> Identification:
     variances = _carried(lambda gain, tau: closed_loop(gain, tau, kp), motor, cov)
     parameters = {**_pair((GAIN, TAU), motor, np.diag(cov)), **_pair((ZETA, OMEGA), loop, variances)}
     curves = [
-        Curve(r.name, log.time_s, r.y, r.y - left, log.columns.get("ref_deg"))
+        Curve(r.name, log.time_s, r.y, r.y - left, log.columns.get("ref_deg") if r.unit == "deg" else None, r.unit)
         for log, r, left in zip(logs, records, found.errors(records), strict=True)
     ]
     notes = [f"zeta and wn are those of a loop with kp = {kp:g} %/deg around this motor"]
@@ -273,9 +287,9 @@ def _estimate(name: str, value: float, half: float) -> Estimate:
 
 
 def _errors(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Fit in percent over all curves, and the error in degrees rms."""
-    left = np.concatenate([c.measured_deg - c.simulated_deg for c in curves])
-    spread = np.concatenate([c.measured_deg - c.measured_deg.mean() for c in curves])
+    """Fit in percent over all curves, and the error rms in their unit."""
+    left = np.concatenate([c.measured - c.simulated for c in curves])
+    spread = np.concatenate([c.measured - c.measured.mean() for c in curves])
     fit = 100.0 * (1.0 - np.linalg.norm(left) / max(float(np.linalg.norm(spread)), 1e-300))
     return float(fit), float(np.sqrt(np.mean(left**2)))
 

@@ -208,7 +208,7 @@ def _result(
 def _row(label: str, found: Identification) -> tuple[Cell, ...]:
     gain, tau = found.parameters[GAIN], found.parameters[TAU]
     return (label, gain.value, gain.half_width, tau.value, tau.half_width, found.value(ZETA), found.value(OMEGA),
-            found.fit_pct, found.rms_deg)  # fmt: skip
+            found.fit_pct, found.rms)  # fmt: skip
 
 
 def _brief(found: Identification) -> dict[str, float]:
@@ -255,7 +255,7 @@ def _answers(
 ) -> tuple[Answer, ...]:
     left = level - 0.5 * (control.u_plus_pct - control.u_minus_pct)
     dead_s = (COMMAND_DELAY_TICKS + 0.5) * log.sample_time_s
-    errors = " and ".join(f"{one.rms_deg:.2g} deg ({method})" for method, one in found.measured.items())
+    errors = " and ".join(f"{one.rms:.2g} deg ({method})" for method, one in found.measured.items())
     why = (
         f"The same log fitted with dry friction and a winding gives K = {gain:.3g} deg/s per %, tau = {tau:.3g} s, "
         f"La/Ra = {1e3 * found.friction.model.number(WINDING):.1f} ms and friction {level:.2f} %, of which the "

@@ -1,4 +1,4 @@
-"""Identified loops as a picture: measured and simulated angle after a step, and the error over the whole log."""
+"""Identified loops as a picture: angle or speed after a step, measured and simulated, and the error over the log."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ def plot_identification(title: str, curves: Mapping[str, LogCurve]) -> Figure:
     first = next(iter(curves.values()))
     begin, end = _window(first)
     shown = (first.time_s >= begin) & (first.time_s <= end)
-    above = [Curve(first.time_s[shown], first.measured_deg[shown], "measured", -2)]
+    above = [Curve(first.time_s[shown], first.measured[shown], "measured", -2)]
     if first.ref_deg is not None:
         above.insert(0, Curve(first.time_s[shown], first.ref_deg[shown], "reference", -1, "reference"))
     below = []
     for i, (label, curve) in enumerate(curves.items()):
         inside = (curve.time_s >= begin) & (curve.time_s <= end)
-        above.append(Curve(curve.time_s[inside], curve.simulated_deg[inside], label, i, "model"))
-        error = curve.measured_deg - curve.simulated_deg
-        said = f"{label.partition(':')[0]}: {np.sqrt(np.mean(error**2)):.2g} deg rms"
+        above.append(Curve(curve.time_s[inside], curve.simulated[inside], label, i, "model"))
+        error = curve.measured - curve.simulated
+        said = f"{label.partition(':')[0]}: {np.sqrt(np.mean(error**2)):.2g} {curve.unit} rms"
         below.append(Curve(curve.time_s, error, said, i, "reference"))
     return plot_panels(
         [
-            Panel(above, "angle (deg)", x_limits=(begin, end)),
-            Panel(below, "measured - simulated\n(deg)", x_limits=(float(first.time_s[0]), float(first.time_s[-1]))),
+            Panel(above, f"{'angle' if first.unit == 'deg' else 'speed'} ({first.unit})", x_limits=(begin, end)),
+            Panel(
+                below,
+                f"measured - simulated\n({first.unit})",
+                x_limits=(float(first.time_s[0]), float(first.time_s[-1])),
+            ),
         ],
         title,
     )
