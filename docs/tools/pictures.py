@@ -12,7 +12,8 @@ from fiohost.labs.design import design_lab
 from fiohost.labs.identification import identification
 from fiohost.labs.precompensation import precompensation
 from fiohost.report.circle import confirm_series
-from fiohost.report.deadband import save_deadband_plot
+from fiohost.report.deadband import plot_deadband
+from fiohost.report.pictures import save_figure
 from fiohost.report.plots import as_png, plot_series
 
 FOLDER = Path(__file__).resolve().parent.parent / "images"
@@ -23,7 +24,7 @@ def position_labs() -> None:
     """The pictures of the deadband, precompensation, identification and design pages."""
     with connect("sim:sealed", seed=SEED) as bench:
         uneven = measure_deadband(bench, 2, angles=6)
-    save_deadband_plot(uneven, "a board with a weight", FOLDER / "lab_deadband.png")
+    save_figure(plot_deadband(uneven, "a board with a weight"), FOLDER / "lab_deadband.png")
     drawn = {}
     with tempfile.TemporaryDirectory() as name:
         with connect("sim") as bench:
