@@ -88,9 +88,11 @@ def test_rows_that_no_recorder_makes_are_refused_and_leave_no_log(tmp_path: Path
 
 
 def test_dates_of_the_year_0_are_none() -> None:
-    times = times_of(["0000-01-01 00:00:00", "0000-01-01 00:00:01"])
-    assert times is not None
+    found = times_of(["0000-01-01 00:00:00", "0000-01-01 00:00:01"])
+    assert found is not None
+    times, began = found
     np.testing.assert_array_equal(times, [0.0, 1.0])
+    assert began == ""
     assert column_of("t", "", ["0000-01-01 00:00:00"], False, [1]).kind == raw.TIME
 
 

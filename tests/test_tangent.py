@@ -75,4 +75,5 @@ def test_where_few_windows_are_looked_at_derivatives_are_theirs_and_work_is_on_n
     assert len(part.window) == len(looked) < 0.3 * len(record)
     expected = np.zeros(len(record))
     expected[looked] = whole.by(other, start, 0.01)[looked]
-    np.testing.assert_array_equal(part.by(other, start, 0.01), expected)
+    # States that are not kept are simulated again from a window's beginning: the same but for rounding.
+    np.testing.assert_allclose(part.by(other, start, 0.01), expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())

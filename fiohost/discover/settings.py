@@ -208,7 +208,7 @@ class SearchSettings:
     # the screen.
     margin: float = 1.5
     # Beside noise, which may be what is missing, so many times: bearings that warm up look like a gain that warms.
-    margin_in_windows: float = 3.0
+    margin_in_windows: float = 2.25
     # Screen: effects are refitted while their score is this share of the best one's, so many at least and at most.
     worth: float = 0.1
     least_refitted: int = 4

@@ -175,6 +175,8 @@ def times_of(cells: Sequence[str]) -> tuple[FloatArray, str] | None:
             return None
         times, day = with_days
         first = float(times[known[0]])
+        if day < 1:  # a clock's year 0 is no date
+            return times - first, ""
         zone = _STAMP.match(cells[known[0]])
         begin = datetime.fromordinal(day) + timedelta(seconds=round(first, 6))
         begin = begin.replace(tzinfo=UTC) if zone is not None and zone[13] else begin
