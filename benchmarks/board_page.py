@@ -113,8 +113,8 @@ def speeds(path: Path | None) -> str:
         return "`python benchmarks/board.py` measures it, behind the wire and for the motor alone."
     told = json.loads(path.read_text(encoding="utf-8"))
     lines = [
-        f"Simulated time over wall time, best of some repeats ({told['machine']}, Python {told['python']}), measured",
-        "by `benchmarks/board.py`. Behind the wire: reports, telemetry and a controller in Python as well.",
+        f"Simulated time over processor time, best of some repeats ({told['machine']}, Python {told['python']}),",
+        "measured by `benchmarks/board.py`. Behind the wire: reports, telemetry and a controller in Python as well.",
         "",
         "| | effects | times real time |",
         "|---|---|---|",

@@ -88,7 +88,7 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
 
     from fiohost.discover.null import draw_null
     from fiohost.discover.objective import Windows
-    from fiohost.discover.screen import Screen, candidates
+    from fiohost.discover.screen import Screen, candidates, span_of
     from fiohost.estimation.fit import fit, fit_from_scratch
     from fiohost.estimation.record import record_from_log
     from fiohost.motor.model import Model
@@ -104,7 +104,8 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
     true = windows.settled(fit(model.with_values({**linear, **kept}), windows.records, windows=True))
     null = windows.null(without, true)
     screen = Screen(null.fit, null.records)
-    scores = [screen.score(e) for e in candidates(null.fit.model, windows.records)]
+    offered = candidates(null.fit.model, windows.records, None, span_of(windows.records))
+    scores = [screen.score(e) for e in offered]
     level = draw_null(windows, null, screen, scores, np.random.default_rng(0)).level
     return {"gain": without.deviance - true.deviance, "chance": level}
 

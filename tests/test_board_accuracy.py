@@ -6,6 +6,7 @@ Short records of every effect and of a few pairs drawn anew at each run. ``bench
 from __future__ import annotations
 
 import secrets
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,3 +82,10 @@ def test_a_pair_drawn_now_follows_the_tight_reference(draw: int) -> None:
     seed = secrets.randbelow(2**31)  # new at every run, named where it fails
     plant = drawn_pair(np.random.default_rng(seed))
     assert not misses(plant, seed, DRAWN_ALLOWED_DEG), f"seed {seed}: {dict(plant.effects)}"
+
+
+def test_the_benchmark_of_speed_knows_every_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parent.parent / "benchmarks")
+    import board
+
+    assert set(board.ALL) == set(effects())
