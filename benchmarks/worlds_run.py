@@ -102,11 +102,11 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
     friction = case.reduced.get("coulomb_friction", {})
     kept = {f"coulomb_friction.{k}": v for k, v in friction.items() if "coulomb_friction" in model.effects}
     true = windows.settled(fit(model.with_values({**linear, **kept}), windows.records, windows=True))
-    null = windows.null(without, true)
+    null = windows.chance(without, true)
     screen = Screen(null.fit, null.records)
     offered = candidates(null.fit.model, windows.records, None, span_of(windows.records))
     scores = [screen.score(e) for e in offered]
-    level = draw_null(windows, null, screen, scores, np.random.default_rng(0)).level
+    level = draw_null(null.fit, null.records, screen, scores, np.random.default_rng(0)).level
     return {"gain": without.deviance - true.deviance, "chance": level}
 
 

@@ -20,7 +20,6 @@ from fiohost.circle.plan import SUITE, suite
 from fiohost.cli.main import cli
 from fiohost.discover.metrics import judge
 from fiohost.discover.objective import WholeRuns
-from fiohost.discover.search import Search
 from fiohost.discover.stage import Stage
 from fiohost.errors import FiohostError
 from fiohost.estimation.fit import fit
@@ -88,9 +87,8 @@ def run(folder: Path, name: str = "", values: Mapping[str, Value] | None = None)
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     """The plant as it is: its model's figures and the bounds that counts alone would leave."""
-    runs = WholeRuns(run(tmp_path_factory.mktemp("clean")))
-    search = Search(runs, np.random.default_rng(1), None, lambda text: None)
-    stage = search.stage(search.declared(Model.parse(MEASURED.model), from_file=False))
+    runs = WholeRuns(run(tmp_path_factory.mktemp("clean")), np.random.default_rng(1))
+    stage = runs.stage(runs.finished(runs.declared(Model.parse(MEASURED.model), from_file=False)))
     assert stage.at_floor
     return stage
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 
-from fiohost.discover import search
+from fiohost.discover import objective
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
@@ -175,7 +175,7 @@ def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.
         begun.append(found.model.effects)
         return found
 
-    monkeypatch.setattr(search, "unstuck", recorded)
+    monkeypatch.setattr(objective, "unstuck", recorded)
     values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 1.0}
     truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
     diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])

@@ -17,7 +17,7 @@ from fiohost.bench.unwrap import ambiguous_steps
 from fiohost.discover.floor import replica_floor
 from fiohost.discover.metrics import judge
 from fiohost.discover.objective import Windows
-from fiohost.discover.search import Search, _ranked
+from fiohost.discover.refit import Job, ranked
 from fiohost.errors import LogError
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
@@ -112,13 +112,14 @@ def test_a_floor_keeps_no_arrays_of_its_replicas() -> None:
 def test_a_rough_fit_and_what_the_null_does_not_ask_for_keep_no_arrays() -> None:
     rng = np.random.default_rng(1)
     records = [measure(truth_model(("coulomb_friction",)), steps(16.0, rng), rng)]
-    search = Search(Windows(records), rng, ["coulomb_friction", "quadratic_drag"], lambda text: None)
-    root = search.declared(Model(), False)
-    screen, other = search.objective.screens(root.state)
+    windows = Windows(records)
+    root = windows.declared(Model(), False)
+    beside = windows.beside(root)
+    screen, other = beside.screens
     offered = [effects()[n] for n in ("coulomb_friction", "quadratic_drag")]
-    kept, light = _ranked(screen, offered, True), _ranked(other, offered, False)
+    kept, light = ranked(screen, offered, True), ranked(other, offered, False)
     assert all(s.directions for s in kept)
     assert not any(s.directions for s in light)
-    rough = search._rough(kept[0], root.state.fit, root.state.records)
-    assert rough.cost < root.state.fit.cost
+    rough = beside.rough(Job(kept[0], root.fit, root.records))
+    assert rough.cost < root.fit.cost
     assert (rough.residuals, rough.jacobians, rough.nuisances) == ((), (), ())

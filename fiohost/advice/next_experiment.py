@@ -128,7 +128,7 @@ class NextExperiment:
         }
 
 
-def rivals_of(final: Model, steps: Sequence[Step]) -> dict[tuple[str, str], Model]:
+def rivals_of(final: Model, steps: Sequence[Step[Stage]]) -> dict[tuple[str, str], Model]:
     """The final model with an effect of it exchanged for one that these data cannot tell from it.
 
     By (effect, rival); exact equivalents are left out, as no experiment could ever part them.
@@ -314,7 +314,7 @@ def _showing(verdict: str, seen: Exercised, follows: str | None, titles: Mapping
 def propose(
     verdict: str,
     final: Stage,
-    steps: Sequence[Step],
+    steps: Sequence[Step[Stage]],
     train: Sequence[Record],
     seen: Exercised,
     follows: str | None,

@@ -13,7 +13,6 @@ from fiohost.advice.limits import detection_limits
 from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
 from fiohost.discover.metrics import pool
 from fiohost.discover.objective import WholeRuns
-from fiohost.discover.search import Search
 from fiohost.errors import DataError
 from fiohost.estimation.record import pwm_of, record_from_log, with_bench_zero
 from fiohost.motor.effect import effects
@@ -44,8 +43,8 @@ def smallest_visible(
     seconds = sum(r.seconds for r in records)
     with threadpool_limits(limits=1, user_api="blas"):
         say(f"fitting {declared.expression} to {len(records)} logs, {seconds:.0f} s")
-        search = Search(WholeRuns(records), np.random.default_rng(seed), library, say)
-        stage = search.stage(search.declared(declared, declared.given))
+        runs = WholeRuns(records, np.random.default_rng(seed))
+        stage = runs.stage(runs.finished(runs.declared(declared, declared.given)))
         if not stage.follows:
             raise DataError(
                 f"{declared.expression} leaves something unexplained in these logs, which hides how small an effect "

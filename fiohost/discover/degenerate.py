@@ -98,7 +98,7 @@ def _width(value: Estimate) -> float:
     return value.ci95[1] - value.ci95[0]
 
 
-def believed(found: Found, hidden: Mapping[str, str]) -> Found:
+def believed(found: Found[Stage], hidden: Mapping[str, str]) -> Found[Stage]:
     """The outcome of a search as far as its fits are believed: without what was added last where it is degenerate, or
     leaves something with an effect that the logs cannot show; ``hidden`` says why they cannot.
     """

@@ -42,7 +42,7 @@ class Diagnosis:
     """All that was found; ``to_json`` gives schema ``fiohost.diagnosis/1``."""
 
     declared: Stage
-    steps: tuple[Step, ...]
+    steps: tuple[Step[Stage], ...]
     candidates: tuple[Candidate, ...]
     residual: tuple[Dependence, ...]
     train: tuple[Record, ...]

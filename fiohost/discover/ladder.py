@@ -34,15 +34,15 @@ def searched(
     say: Progress,
     hidden: Mapping[str, str],
     tolerance_pct: float = 0.0,
-) -> Found:
+) -> Found[Stage]:
     """What a declared model lacks: by whole runs; where these cannot be followed, by windows under the noise that is
     left, without what is ``hidden`` from the logs; by whole runs again from there where they come near.
 
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    runs = WholeRuns(train)
-    whole = Search(runs, rng, library, say, tolerance_pct=tolerance_pct)
+    runs = WholeRuns(train, rng)
+    whole = Search(runs, library, say, tolerance_pct=tolerance_pct)
     root = whole.declared(model, from_file)
     if whole.explains(root):
         return whole.found(root, root)
@@ -51,32 +51,32 @@ def searched(
         best = whole.run(root)
         if whole.explains(best):
             return whole.found(root, best)
-        if timed := _by_one_clock(whole, model, from_file):
+        if timed := _by_one_clock(runs, library, say, model, from_file):
             return timed
     say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
-    windows = Windows(train)
+    windows = Windows(train, np.random.default_rng(NOISE_SEED))
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
-    by_windows = Search(windows, np.random.default_rng(NOISE_SEED), shown, say, tolerance_pct=tolerance_pct)
+    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
     if exact:
         near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
-        again = Node(whole.finished(runs.settled(near)), seen.added)
-        if whole.stage(again).fit.rms <= SETTINGS.lost * whole.stage(again).floor_rms:
+        again = Node(runs.finished(runs.settled(near)), seen.added)
+        if again.state.fit.rms <= SETTINGS.lost * whole.stage(again).floor_rms:
             again = again if whole.explains(again) else whole.run(again)
             if whole.explains(again):
                 return whole.found(root, again)
     found = by_windows.found(begun, seen)
     found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
     if exact and not (found.white and found.final.follows):
-        far = Search(runs, rng, library, say, anew=True, tolerance_pct=tolerance_pct)
+        far = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct)
         best = far.run(root)
         if far.explains(best):
             return far.found(root, best)
     return found
 
 
-def _plainly_fitted(found: Found, windows: Windows, rng: np.random.Generator) -> Found:
+def _plainly_fitted(found: Found[Stage], windows: Windows, rng: np.random.Generator) -> Found[Stage]:
     """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
     where all that is left is what they are made of. Their own data err by what they leave so.
 
@@ -132,17 +132,17 @@ def in_sequence(records: Sequence[Record]) -> list[Record]:
     ]
 
 
-def _by_one_clock(whole: Search, model: Model, from_file: bool) -> Found | None:
+def _by_one_clock(
+    runs: WholeRuns, library: Sequence[str] | None, say: Progress, model: Model, from_file: bool
+) -> Found[Stage] | None:
     """What a search over the records in sequence finds of effects that hang on the bench's own time, where none of
     several says when it was begun; None if nothing that explains them all.
     """
-    train = whole.objective.train
-    names = [n for n in (effects() if whole.library is None else whole.library) if effects()[n].clocked]
-    if len(train) < 2 or any(r.excitation.clock_s != 0.0 for r in train) or not names:
+    names = [n for n in (effects() if library is None else library) if effects()[n].clocked]
+    if len(runs.train) < 2 or any(r.excitation.clock_s != 0.0 for r in runs.train) or not names:
         return None
-    whole.say("the logs do not say when they were begun: as if taken one after the other")
-    runs = WholeRuns(in_sequence(train))
-    search = Search(runs, whole.rng, names, whole.say)
+    say("the logs do not say when they were begun: as if taken one after the other")
+    search = Search(WholeRuns(in_sequence(runs.train), runs.rng), names, say)
     root = search.declared(model, from_file)
     best = search.run(root)
     return replace(search.found(root, best), one_clock=True) if best.added and search.explains(best) else None

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.objective import Objective, State
+from fiohost.discover.floor import replica_errors
 from fiohost.discover.screen import Score, Screen, powers
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.record import Record
 from fiohost.noise.whiten import unevenness
 
 
@@ -36,31 +38,31 @@ class Null:
 
 
 def draw_null(
-    objective: Objective,
-    state: State,
+    fitted: Fit,
+    records: Sequence[Record],
     screen: Screen,
     scores: Sequence[Score],
     rng: np.random.Generator,
     settings: SearchSettings = SETTINGS,
 ) -> Null:
-    """The null of a state, around which ``scores`` were taken in a ``screen``."""
+    """The null of a fit to ``records``, around which ``scores`` were taken in a ``screen``."""
     directions = [d for s in scores for d in s.directions]
     owner = np.array([i for i, s in enumerate(scores) for _ in s.directions], dtype=int)
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
     basis = np.concatenate(columns, axis=1)
     ends = np.cumsum([d.basis.shape[1] for d in directions])
-    edges = [r.windows for r in state.records]
+    edges = [r.windows for r in records]
     # The screen takes samples together: its powers are by so much below squared errors.
-    block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in state.records]))
+    block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
     def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
-        errors = objective.draw(state, rng)
+        errors = replica_errors(fitted, records, rng, anywhere=True)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
         own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])
-        variance = 1.0 if objective.windows else float(np.mean(np.concatenate(errors) ** 2))
-        return block * own / max(variance, 1e-300), unevenness(errors, edges) if objective.windows else 0.0
+        variance = 1.0 if fitted.windows else float(np.mean(np.concatenate(errors) ** 2))
+        return block * own / max(variance, 1e-300), unevenness(errors, edges) if fitted.windows else 0.0
 
     drawn = each(draw, rng.spawn(settings.draws))
     gains = np.array([gain for gain, _ in drawn])  # (draws, effects)

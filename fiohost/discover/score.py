@@ -91,6 +91,11 @@ class Gain:
         gains = np.clip(before - after, -bound, bound)
         return cls(float(gains.sum()), float(gains.std(ddof=1)) * float(np.sqrt(len(gains))), float(gains.max()))
 
+    @property
+    def by_one(self) -> bool:
+        """Whether one block carries it."""
+        return self.total <= 2.0 * self.most
+
     def sure(self, settings: SearchSettings = SETTINGS) -> bool:
         """Whether it is one, within what the blocks can tell."""
         return self.total >= settings.sure_sigmas * self.error

@@ -4,37 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Generic
 
 from fiohost.discover.candidate import Candidate
-from fiohost.discover.stage import Stage
+from fiohost.discover.evidence import J
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Generic[J]):
     """One effect that was added, what spoke for it, and the names it cannot be told from.
 
     ``rival_models`` are the fitted models of those that only this data cannot tell from it.
     """
 
     effect: str
-    stage: Stage
+    stage: J
     evidence: dict[str, object]
     indistinguishable_from: tuple[str, ...]
     rival_models: Mapping[str, Model] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Found:
+class Found(Generic[J]):
     """The outcome of one search: the declared stage first, the final one last. ``one_clock`` says that its records were
     taken for one after the other. Where noise decided, ``noise`` is what is left, ``white`` whether it looks so, and
     ``taken`` the share of the squared error of windows as they are that the final structure takes there.
     """
 
-    stages: tuple[Stage, ...]
-    steps: tuple[Step, ...]
+    stages: tuple[J, ...]
+    steps: tuple[Step[J], ...]
     offered: tuple[Candidate, ...]
     one_clock: bool = False
     noise: Noise | None = None
@@ -42,7 +43,7 @@ class Found:
     taken: float = 0.0
 
     @property
-    def final(self) -> Stage:
+    def final(self) -> J:
         return self.stages[-1]
 
 

@@ -1,0 +1,176 @@
+"""What the library does beside a fit of logs: scored by signatures, the best refitted, roughly and then to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import zip_longest
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fiohost.discover.candidate import Candidate, Progress
+from fiohost.discover.evidence import State
+from fiohost.discover.moments import fit_event, moment_of
+from fiohost.discover.null import Null, draw_null
+from fiohost.discover.optimise import cost_of, fit_anew, full_fit, rough_fit
+from fiohost.discover.screen import Score, Screen, candidates
+from fiohost.discover.settings import SearchSettings
+from fiohost.discover.workers import each
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.record import Record
+from fiohost.motor.effect import Effect
+
+
+class Logs(Protocol):
+    """What is asked of the logs' evidence."""
+
+    exact: bool
+    settings: SearchSettings
+    rng: np.random.Generator
+    records: list[Record]
+
+    @property
+    def anew(self) -> bool:
+        """Whether candidates may begin from values of their own where none comes close."""
+
+    def screens(self, state: State) -> list[Screen]:
+        """Around which fits the library is scored."""
+
+    def settled(self, fitted: Fit, whitened: bool = False) -> State:
+        """The state of a fit."""
+
+    def chance(self, state: State, best: State) -> State:
+        """A state with the noise that the best candidate leaves."""
+
+    def floor_rms(self, state: State) -> float:
+        """The error that whole runs of a state could reach; infinite where none is known."""
+
+
+class Job(NamedTuple):
+    """A scored effect, and what it is refitted beside."""
+
+    score: Score
+    base: Fit
+    records: Sequence[Record]
+
+    @property
+    def name(self) -> str:
+        return self.score.effect.name
+
+
+class LogsBeside:
+    """The library beside one state of logs."""
+
+    def __init__(self, logs: Logs, state: State) -> None:
+        self.logs, self.state, self.screens = logs, state, logs.screens(state)
+        self.ranked: list[list[Score]] = []
+        self.taken: set[str] = set()
+
+    def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
+        return candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span), []
+
+    def refitted(self, offered: Sequence[Effect], say: Progress) -> list[tuple[Effect, State]]:
+        # The null asks for the directions of the first screen.
+        self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
+        s, floor = self.logs.settings, self.logs.floor_rms(self.state)
+        jobs = self.worth()
+        say(f"refitting {len({job.name for job in jobs})} of them")
+        rough = each(self.rough, jobs)
+        if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
+            say("whole runs are far from the floor with every effect")
+            if not self.logs.anew:
+                return []
+            say("beginning anew with each of them")
+            first = self.screens[0]
+            jobs = [Job(score, first.fit, first.records) for score in self.ranked[0]]
+            rough = each(lambda job: fit_anew(job.base, job.score, job.records), jobs)
+            if min(f.rms for f in rough) > s.lost * floor:
+                return []
+        kept = self.finalists(jobs, rough)
+        finals = [i for ways in kept for i in ways]
+        far = s.lost * floor
+        carried = each(lambda i: full_fit(rough[i], jobs[i].score.effect, jobs[i].records, far), finals)
+        fits = dict(zip(finals, carried, strict=True))
+
+        def settled(i: int) -> State:
+            return self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+
+        def apart(ways: Sequence[int]) -> Sequence[int]:
+            """Of two ways that came to the same, the first."""
+            if len(ways) < 2:
+                return ways
+            one, other = sorted(ways, key=lambda i: jobs[i].records is not self.state.records)
+            same = cost_of(fits[other], fits[one].model, jobs[other].records) <= s.as_good * fits[other].cost
+            return [one] if same else ways
+
+        left = [i for ways in kept for i in apart(ways)]
+        best: dict[str, tuple[Effect, State]] = {}
+        for i, state in zip(left, each(settled, left), strict=True):
+            if jobs[i].name not in best or state.deviance < best[jobs[i].name][1].deviance:
+                best[jobs[i].name] = jobs[i].score.effect, state
+        self.taken = set(best)
+        return list(best.values())
+
+    def worth(self) -> list[Job]:
+        """The effects whose scores make them worth a fit, of each screen."""
+        s, windows = self.logs.settings, not self.logs.exact
+        jobs = []
+        for screen, scores in zip(self.screens, self.ranked, strict=True):
+            most = s.refitted_in_windows if windows else s.refitted
+            worth = [x for x in scores[:most] if x.share > s.worth * scores[0].share]
+            worth = list(scores[: max(len(worth), s.least_refitted)])
+            # Around windows as another model begins them, signatures say nothing of what warms or of an end of travel;
+            # and little of dry friction, which every drive has, once the gain has taken it up.
+            unseen = [x for x in scores if x.effect.unseen_in_windows or x.effect.everywhere] if windows else []
+            always = [x for x in scores if x.trials and (x.effect.once or x in unseen)]
+            worth += [x for x in always if x not in worth]
+            jobs += [Job(x, screen.fit, screen.records) for x in worth]
+        return jobs
+
+    def rough(self, job: Job) -> Fit:
+        """A rough fit without its arrays: of a long log, those of all candidates would fill the memory."""
+        found = rough_fit(job.base, job.score, job.records)
+        if self.logs.exact and moment_of(job.score.effect) is not None:
+            found = min(found, fit_event(job.base, job.score.effect, job.records), key=lambda f: f.cost)
+        return replace(found, residuals=(), jacobians=(), nuisances=())
+
+    def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit]) -> list[list[int]]:
+        """Which are carried to their minimum: of each name the best of each screen."""
+        s, windows = self.logs.settings, not self.logs.exact
+        bases = [job.base for job in jobs]
+        gains = [b.samples * float(np.log(b.cost / max(f.cost, 1e-300))) for b, f in zip(bases, rough, strict=True)]
+        order = [int(i) for i in np.argsort(gains)[::-1]]
+        # What windows as they are gain says nothing beside what whitened ones do: the best of each in turn.
+        sides = [[i for i in order if jobs[i].records is screen.records] for screen in self.screens]
+        kept: dict[str, dict[int, int]] = {}
+        for i in (i for rank in zip_longest(*sides) for i in rank if i is not None):
+            name, way = jobs[i].name, id(jobs[i].records)
+            best_gain = max(gains[k] for k in order if id(jobs[k].records) == way)
+            near = gains[i] >= best_gain - jobs[i].base.samples * np.log(s.hopeless)
+            room = len(kept) < (s.finalists_in_windows if windows else s.finalists)
+            if name in kept or (near and (room or (windows and jobs[i].score.effect.everywhere))):
+                kept.setdefault(name, {}).setdefault(way, i)
+        return [list(ways.values()) for ways in kept.values()]
+
+    def passed_over(self) -> list[Candidate]:
+        scores = [s for s in self.ranked[0] if s.effect.name not in self.taken]
+        return [Candidate(s.effect.name, s.share, "scores less than those refitted") for s in scores]
+
+    def null(self, best: State) -> Null:
+        null, first = self.logs.chance(self.state, best), self.screens[0]
+        screen, scores = first, self.ranked[0]
+        if null is not self.state:
+            screen = Screen(null.fit, null.records, first.span.lines_hz)
+            scores = each(screen.score, [s.effect for s in self.ranked[0]])
+        return draw_null(null.fit, null.records, screen, scores, self.logs.rng, self.logs.settings)
+
+
+def ranked(screen: Screen, offered: Sequence[Effect], directions: bool) -> list[Score]:
+    """Effects by their score, the best first; without their ``directions``, which are large, unless they are needed."""
+
+    def scored(effect: Effect) -> Score:
+        found = screen.score(effect)
+        return found if directions else replace(found, directions=())
+
+    return sorted(each(scored, offered), key=lambda x: x.share, reverse=True)
