@@ -19,7 +19,7 @@ from viscous import fitted_viscous
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.fit import LOOKS, Evidence, fit_declared, fit_tables
+from fiohost.discover.tables.fit import LOOKS, Rows, fit_declared, fit_tables
 from fiohost.discover.tables.responses import Responses
 from fiohost.discover.tables.worth import Worth, left_out_rms, scatter_needed
 from fiohost.labs.constants import TEXT
@@ -74,7 +74,7 @@ def freed(case: Case) -> Worth:
     assert dry is not None
     model = replace(dry.model, fixed=dry.model.fixed - {"linear.gain_deg_s_per_pct", "linear.tau_s"})
     evidence = case.judged.diagnosis.evidence
-    found = fit_tables(evidence, model, looks=LOOKS)
+    found = fit_tables(evidence.rows, model, looks=LOOKS)
     return Worth("dry friction, gain and lag", found, found.rms, left_out_rms(evidence, found))
 
 
@@ -194,13 +194,13 @@ def simulations(data: Path, scratch: Path) -> dict[str, str]:
             ]
             figures.append([f"{printed.label}, {row.label}", *cells])
     wanted = text["d7"]
-    evidence = Evidence([wanted])
+    rows = Rows([wanted])
     return {
         "simulations": table(["simulated rows of", *(limit.label for limit in LIMITS)], errors),
         "simulated": table(
             ["printed / made again", "overshoot (%)", "settling (s)", "rise (s)", "error that stays (cm)"], figures
         ),
-        "d7_any": words.number(fit_declared(evidence, Model.parse("linear"), keep_start=False).rms, 3),
+        "d7_any": words.number(fit_declared(rows, Model.parse("linear"), keep_start=False).rms, 3),
     }
 
 

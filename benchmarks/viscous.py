@@ -13,7 +13,8 @@ import numpy as np
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Constant, Figure, Row
-from fiohost.discover.tables.fit import LOOKS, Evidence, TableFit, fit_tables
+from fiohost.discover.tables.fit import LOOKS, TableFit, fit_tables
+from fiohost.discover.tables.objective import Readings
 from fiohost.discover.tables.responses import Responses
 from fiohost.discover.tables.worth import Worth, left_out_rms
 from fiohost.labs.constants import MotorConstants
@@ -77,19 +78,19 @@ def fitted_viscous(table: Responses, model: Model, motor: MotorConstants, fallin
     """
     own = powers(table, model)
 
-    def seen(B: float, extra: float) -> Evidence:
+    def seen(B: float, extra: float) -> Readings:
         constants = (
             Constant("B_Nms", "N m s", B, 0.0, MOST_NMS, True),
             Constant("extra_Nms", "N m s", extra, 0.0, MOST_NMS, falling),
         )
-        return Evidence([ViscousByRow(table, motor, own, constants)])
+        return Readings([ViscousByRow(table, motor, own, constants)])
 
-    tried: list[tuple[Evidence, TableFit]] = []
+    tried: list[tuple[Readings, TableFit]] = []
     for times, extra in STARTS:
         if falling or not extra:
             evidence = seen(times * motor.B_Nms, extra)
-            tried.append((evidence, fit_tables(evidence, model, derive=False)))
+            tried.append((evidence, fit_tables(evidence.rows, model, derive=False)))
     evidence, best = min(tried, key=lambda pair: pair[1].cost)
-    best = fit_tables(evidence, model, constants=best.constants, looks=LOOKS)
+    best = fit_tables(evidence.rows, model, constants=best.constants, looks=LOOKS)
     name = "viscous friction falling with power" if falling else "viscous friction"
     return Worth(name, best, best.rms, left_out_rms(evidence, best))

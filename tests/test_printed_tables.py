@@ -17,7 +17,6 @@ from fiohost.control.metrics import step_figures
 from fiohost.discover.tables.diagnose import diagnose_tables
 from fiohost.discover.tables.evidence import Figure, Row
 from fiohost.discover.tables.responses import Response, Responses
-from fiohost.discover.tables.search import Search
 from fiohost.discover.tables.worth import left_out_rms, scatter_needed, worth
 from fiohost.errors import ConfigError
 from fiohost.labs.constants import TEXT
@@ -65,9 +64,8 @@ def responses(motor: Model) -> Responses:
 
 def test_the_effect_that_is_there_is_worth_nearly_all_and_another_less(responses: Responses, motor: Model) -> None:
     found = diagnose_tables([responses], motor, library=["voltage_saturation"], from_file=True)
-    search = Search(found.evidence, np.random.default_rng(0), None, lambda text: None)
     declared = found.found.declared
-    right, wrong = (worth(search, declared, name) for name in ("coulomb_friction", "quadratic_drag"))
+    right, wrong = (worth(found.evidence, found.root, name) for name in ("coulomb_friction", "quadratic_drag"))
     assert right.fit is not None
     assert right.fit.model.number("coulomb_friction.level_pct") == pytest.approx(DRY_PCT, rel=0.05)
     assert right.rms < 2.0 < wrong.rms < declared.fit.rms

@@ -43,6 +43,10 @@ class Found(Generic[J]):
     taken: float = 0.0
 
     @property
+    def declared(self) -> J:
+        return self.stages[0]
+
+    @property
     def final(self) -> J:
         return self.stages[-1]
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from fiohost.circle.readings import diagnose_readings
 from fiohost.discover.tables.diagnose import TableDiagnosis
-from fiohost.discover.tables.search import Search
 from fiohost.discover.tables.worth import Worth, scatter_needed, worth
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 from fiohost.motor.model import Model
@@ -42,15 +41,12 @@ class Judged:
         """What scatter every figure would need for the ``declared`` or ``final`` model to pass, in its own unit."""
         found = self.diagnosis.final if stage == "final" else self.diagnosis.found.declared
         needed = scatter_needed(found.fit.rms, found.limit_rms)
-        return {f.name: needed * f.floor for table in self.diagnosis.evidence.tables for f in table.figures}
+        return {f.name: needed * f.floor for table in self.diagnosis.evidence.rows.tables for f in table.figures}
 
 
-def judge(
-    found: TableDiagnosis, explain: Sequence[str] = (), *, seed: int = 0, say: Callable[[str], None] = lambda text: None
-) -> Judged:
+def judge(found: TableDiagnosis, explain: Sequence[str] = ()) -> Judged:
     """Fit each asked effect beside the declared model of a diagnosis. Raises FiohostError."""
-    search = Search(found.evidence, np.random.default_rng(seed), None, say)
-    return Judged(found, tuple(worth(search, found.found.declared, name) for name in explain))
+    return Judged(found, tuple(worth(found.evidence, found.root, name) for name in explain))
 
 
 def tables(
@@ -62,9 +58,9 @@ def tables(
     say: Callable[[str], None] = lambda text: None,
 ) -> LabResult:
     """The whole lab on a user's readings files. Raises FiohostError."""
-    judged = judge(diagnose_readings(paths, model, seed=seed, say=say), explain, seed=seed, say=say)
+    judged = judge(diagnose_readings(paths, model, seed=seed, say=say), explain)
     told = judged.diagnosis.to_json()
-    names = [table.name for table in judged.diagnosis.evidence.tables]
+    names = [table.name for table in judged.diagnosis.evidence.rows.tables]
     return LabResult(
         name="tables",
         title="Tables of readings: before, after, left out",
@@ -99,7 +95,7 @@ def _stage_row(label: str, stage: Any) -> list[Cell]:
 def scatter_table(judged: Judged) -> Table:
     """How much the readings would have to scatter for the declared and for the final model to be good enough."""
     before, after = judged.scatter("declared"), judged.scatter("final")
-    figures = {f.name: f for table in judged.diagnosis.evidence.tables for f in table.figures}
+    figures = {f.name: f for table in judged.diagnosis.evidence.rows.tables for f in table.figures}
     rows: list[list[Cell]] = [
         [figure_words(n), f.unit, f.floor, before[n], after[n]] for n, f in sorted(figures.items())
     ]

@@ -13,10 +13,12 @@ from threadpoolctl import threadpool_limits
 from fiohost import __version__
 from fiohost.discover.candidate import Progress
 from fiohost.discover.result import clean
+from fiohost.discover.search import Node, Search
 from fiohost.discover.settings import SETTINGS
+from fiohost.discover.step import Found
 from fiohost.discover.tables.evidence import Table
-from fiohost.discover.tables.fit import Evidence, TableFit
-from fiohost.discover.tables.search import Search, TableSearch, TableStage, parameter_count, select
+from fiohost.discover.tables.fit import Rows, TableFit
+from fiohost.discover.tables.objective import Readings, TableStage
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate
 from fiohost.motor.model import Model
@@ -26,16 +28,24 @@ STANDS_OUT = 2.0  # floors: a figure this far off on the whole is part of what r
 
 @dataclass(frozen=True)
 class TableDiagnosis:
-    """All that was found; ``to_json`` gives the fields of ``fiohost.diagnosis/1`` that tables have."""
+    """All that was found beside the declared model at the ``root``; ``why_not`` says why nothing can be said, where
+    that is so. ``to_json`` gives the fields of ``fiohost.diagnosis/1`` that tables have.
+    """
 
-    evidence: Evidence
-    found: TableSearch
+    evidence: Readings
+    root: Node
+    found: Found[TableStage]
     seconds: float
+    why_not: str | None = None
     files: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        return self.found.verdict
+        if self.why_not is not None:
+            return "cannot_be_judged"
+        if not self.final.follows:
+            return "unexplained"
+        return "explained" if self.found.steps else "no_missing_effect"
 
     @property
     def final(self) -> TableStage:
@@ -43,49 +53,53 @@ class TableDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Errors are in floors; ``rows`` holds every figure in its own unit, measured, declared and final."""
-        found, final, evidence = self.found, self.found.final, self.evidence
+        found, final, rows = self.found, self.found.final, self.evidence.rows
+        stages = [found.declared, *(step.stage for step in found.steps)]
         result = {
             "schema": "fiohost.diagnosis/1",
             "fiohost_version": __version__,
             "seconds": self.seconds,
             "evidence": "readings",
             "output_unit": "floors",
-            "readings": [{"name": t.name, "rows": len(t.rows), **self.files.get(t.name, {})} for t in evidence.tables],
+            "readings": [{"name": t.name, "rows": len(t.rows), **self.files.get(t.name, {})} for t in rows.tables],
             "declared": {"model": found.declared.fit.model.expression, "parameters": _parameters(found.declared)},
-            "verdict": found.verdict,
-            "why": found.why_not,
-            "before": {"train": errors(evidence, found.declared), "holdout": None},
+            "verdict": self.verdict,
+            "why": self.why_not,
+            "before": {"train": errors(rows, found.declared), "holdout": None},
             "steps": [
                 {
                     "effect": step.effect,
                     "parameters": _parameters(step.stage, step.effect),
-                    "evidence": {"left_out_error_ratio": step.left_out_ratio, "by_chance": step.by_chance},
-                    "after": {"train": errors(evidence, step.stage), "holdout": None},
+                    "evidence": {
+                        "left_out_error_ratio": _ratio(before, step.stage),
+                        "by_chance": step.evidence["by_chance"],
+                    },
+                    "after": {"train": errors(rows, step.stage), "holdout": None},
                     "indistinguishable_from": list(step.indistinguishable_from),
                 }
-                for step in found.steps
+                for before, step in zip(stages, found.steps, strict=False)
             ],
-            "after": {"train": errors(evidence, final), "holdout": None},
+            "after": {"train": errors(rows, final), "holdout": None},
             "final": {
                 "model": final.fit.model.expression,
                 "parameters": _parameters(final),
                 "constants": self._constants(final.fit),
             },
             "floor": {
-                "train": {"free_run_rms": final.floor_rms, "limit_rms": final.limit_rms, "samples": evidence.samples},
+                "train": {"free_run_rms": final.floor_rms, "limit_rms": final.limit_rms, "samples": rows.samples},
                 "holdout": None,
                 "from": "replicas",
                 "replicas": SETTINGS.floor.replicas,
             },
-            "fitted_parameters": parameter_count(evidence, final.fit),
+            "fitted_parameters": self.evidence.parameter_count(final.fit),
             "rows": self._rows(),
             "candidates": [
                 {"effect": c.effect, "score": max(c.score, 0.0), "rejected_because": c.rejected_because}
-                for c in sorted(found.candidates, key=lambda c: c.score, reverse=True)
+                for c in sorted(found.offered, key=lambda c: c.score, reverse=True)
             ],
             "residual": {
-                "white": final.at_floor,
-                "depends_on": [] if final.at_floor else self._standing_out(),
+                "white": final.follows,
+                "depends_on": [] if final.follows else self._standing_out(),
                 "tests": {"figures": self._by_figure(final)},
             },
             "logs": [],
@@ -95,9 +109,9 @@ class TableDiagnosis:
 
     def _rows(self) -> list[dict[str, Any]]:
         """Every row with its figures: measured, declared, final, in the figure's unit, and its floor."""
-        rows = []
-        evidence, declared, final = self.evidence, self.found.declared.fit, self.found.final.fit
-        for i, place in enumerate(evidence.places):
+        told = []
+        rows, declared, final = self.evidence.rows, self.found.declared.fit, self.found.final.fit
+        for i, place in enumerate(rows.places):
             figures = {
                 f.name: {
                     "measured": place.row.measured[f.name],
@@ -106,16 +120,16 @@ class TableDiagnosis:
                     "floor": f.floor,
                     "unit": f.unit,
                 }
-                for f in evidence.figures(place)
+                for f in rows.figures(place)
             }
-            rows.append({"readings": evidence.tables[place.table].name, "row": place.row.label, "figures": figures})
-        return rows
+            told.append({"readings": rows.tables[place.table].name, "row": place.row.label, "figures": figures})
+        return told
 
     def _by_figure(self, stage: TableStage) -> dict[str, float]:
         """Error of each figure over all rows, in floors."""
         left: dict[str, list[float]] = {}
-        for place, residual in zip(self.evidence.places, stage.fit.residuals, strict=True):
-            for figure, value in zip(self.evidence.figures(place), residual, strict=True):
+        for place, residual in zip(self.evidence.rows.places, stage.fit.residuals, strict=True):
+            for figure, value in zip(self.evidence.rows.figures(place), residual, strict=True):
                 left.setdefault(figure.name, []).append(float(value))
         return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in left.items()}
 
@@ -125,21 +139,22 @@ class TableDiagnosis:
 
     def _constants(self, fitted: TableFit) -> dict[str, Any]:
         """What was fitted of the benches themselves."""
+        rows = self.evidence.rows
         return {
-            f"{self.evidence.tables[t].name}.{self.evidence.constant((t, i)).name}": {
+            f"{rows.tables[t].name}.{rows.constant((t, i)).name}": {
                 "value": fitted.constants[t][i],
-                "unit": self.evidence.constant((t, i)).unit,
+                "unit": rows.constant((t, i)).unit,
             }
-            for t, i in self.evidence.fitted
+            for t, i in rows.fitted
         }
 
 
-def errors(evidence: Evidence, stage: TableStage) -> dict[str, Any]:
+def errors(rows: Rows, stage: TableStage) -> dict[str, Any]:
     """``E`` of the diagnosis, in floors; outside the bin is a figure that no rounding of the prediction gives."""
     outside = [
         abs(residual) * figure.floor > 0.5 * figure.quantum + 3.0 * figure.scatter
-        for place, residuals in zip(evidence.places, stage.fit.residuals, strict=True)
-        for figure, residual in zip(evidence.figures(place), residuals, strict=True)
+        for place, residuals in zip(rows.places, stage.fit.residuals, strict=True)
+        for figure, residual in zip(rows.figures(place), residuals, strict=True)
     ]
     return {
         "free_run_rms": stage.fit.rms,
@@ -147,8 +162,14 @@ def errors(evidence: Evidence, stage: TableStage) -> dict[str, Any]:
         "left_out_rms": stage.left_out_rms,
         "bin_violation_pct": 100.0 * float(np.mean(outside)),
         "fit_pct": None,
-        "samples": evidence.samples,
+        "samples": rows.samples,
     }
+
+
+def _ratio(before: TableStage, after: TableStage) -> float | None:
+    """The error on rows left out, over that without the effect."""
+    was, now = before.left_out_rms, after.left_out_rms
+    return now / was if was and now is not None else None
 
 
 def _parameters(stage: TableStage, only: str | None = None) -> dict[str, Any]:
@@ -183,10 +204,21 @@ def diagnose_tables(
 
     ``library`` restricts the candidates, ``seed`` fixes the replicas. Raises DataError if there is nothing to judge.
     """
-    evidence = Evidence(tables)
-    if not evidence.samples:
+    readings = Readings(tables, np.random.default_rng(seed))
+    rows = readings.rows
+    if not rows.samples:
         raise DataError("the tables hold no reading to be judged")
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"):
-        found = select(Search(evidence, np.random.default_rng(seed), library, say), model, from_file)
-    return TableDiagnosis(evidence, found, time.monotonic() - began, files or {})
+        say(f"fitting {model.expression} to {len(rows)} rows, {rows.samples} figures")
+        search = Search(readings, library, say)
+        root = search.declared(model, from_file)
+        stage = search.stage(root)
+        why_not = readings.too_few(stage.fit)
+        if why_not is None and not stage.follows and stage.left_out is None:
+            why_not = (
+                f"{model.expression} does not explain these figures, but their {len(rows)} rows are too few to leave "
+                "one out, so nothing can be chosen that it lacks; measure more rows"
+            )
+        found = search.found(root, root if why_not else search.run(root))
+    return TableDiagnosis(readings, root, found, time.monotonic() - began, why_not, files or {})

@@ -57,7 +57,7 @@ class Place:
     row: Row
 
 
-class Evidence:
+class Rows:
     """All rows of all tables, in one order, and how far a model is from them."""
 
     def __init__(self, tables: Sequence[Table]) -> None:
@@ -106,14 +106,14 @@ def squares(left: np.ndarray) -> float:
 class _Problem:
     """Predictions (in floors) of some rows by a vector of the model's free parameters and the fitted constants."""
 
-    def __init__(self, evidence: Evidence, model: Model, rows: Sequence[int]) -> None:
-        self.evidence, self.model = evidence, model
-        self.places = [evidence.places[i] for i in rows]
+    def __init__(self, data: Rows, model: Model, rows: Sequence[int]) -> None:
+        self.data, self.model = data, model
+        self.places = [data.places[i] for i in rows]
         self.names = tuple(model.free())
         self.slots = np.array([slot(n) for n in self.names], dtype=np.int64)
         self.plant = Plant.of(model)
         parameters = [model.parameter(n) for n in self.names]
-        constants = [evidence.constant(which) for which in evidence.fitted]
+        constants = [data.constant(which) for which in data.fitted]
         self.lower = np.array([*(q.lower for q in parameters), *(c.lower for c in constants)])
         self.upper = np.array([*(q.upper for q in parameters), *(c.upper for c in constants)])
         self.steps = np.array([*(q.step for q in parameters), *(CONSTANT_STEP for _ in constants)])
@@ -126,14 +126,14 @@ class _Problem:
         """The motor and the constants of a vector."""
         p = self.plant.p.copy()
         p[self.slots] = x[: len(self.slots)]
-        constants = self.evidence.known()
-        for (table, i), value in zip(self.evidence.fitted, x[len(self.slots) :], strict=True):
+        constants = self.data.known()
+        for (table, i), value in zip(self.data.fitted, x[len(self.slots) :], strict=True):
             constants[table][i] = float(value)
         return self.plant.at(p), constants
 
     def rows(self, x: np.ndarray) -> list[np.ndarray]:
         plant, constants = self.split(x)
-        return [self.evidence.in_floors(p, self.evidence.predict(p, plant, constants)) for p in self.places]
+        return [self.data.in_floors(p, self.data.predict(p, plant, constants)) for p in self.places]
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """All figures (n); those of the last vector are remembered, as its derivatives are asked for next."""
@@ -218,14 +218,14 @@ class _Problem:
         return whole(np.asarray(found.x))
 
 
-def vector(evidence: Evidence, model: Model, constants: Sequence[Sequence[float]] | None = None) -> np.ndarray:
+def vector(data: Rows, model: Model, constants: Sequence[Sequence[float]] | None = None) -> np.ndarray:
     """The free parameters of a model and the fitted constants."""
-    given = constants if constants is not None else evidence.known()
-    return np.array([*(model.number(n) for n in model.free()), *(given[t][i] for t, i in evidence.fitted)])
+    given = constants if constants is not None else data.known()
+    return np.array([*(model.number(n) for n in model.free()), *(given[t][i] for t, i in data.fitted)])
 
 
 def fit_tables(
-    evidence: Evidence,
+    data: Rows,
     model: Model,
     *,
     constants: Sequence[Sequence[float]] | None = None,
@@ -241,10 +241,10 @@ def fit_tables(
     array a row, in floors) fits to what the model itself predicts plus this, in place of the readings. Without
     ``derive`` the fit has no derivatives, which take one simulation a parameter.
     """
-    problem = _Problem(evidence, model, range(len(evidence)))
-    x = vector(evidence, model, constants)
+    problem = _Problem(data, model, range(len(data)))
+    x = vector(data, model, constants)
     measured = (
-        [evidence.measured(p) for p in evidence.places]
+        [data.measured(p) for p in data.places]
         if noise is None
         else [y + e for y, e in zip(problem.rows(x), noise, strict=True)]
     )
@@ -258,10 +258,10 @@ def fit_tables(
 
 def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray], derive: bool) -> TableFit:
     """The figures of a vector as a fit."""
-    evidence, k = problem.evidence, len(problem.slots)
+    data, k = problem.data, len(problem.slots)
     plant, constants = problem.split(x)
-    predicted = [evidence.predict(p, plant, constants) for p in problem.places]
-    base = [evidence.in_floors(p, y) for p, y in zip(problem.places, predicted, strict=True)]
+    predicted = [data.predict(p, plant, constants) for p in problem.places]
+    base = [data.in_floors(p, y) for p, y in zip(problem.places, predicted, strict=True)]
     columns = problem.columns(x) if derive else np.zeros((sum(len(y) for y in base), len(x)))
     edges = np.cumsum([len(y) for y in base])[:-1]
     residuals = tuple(m - y for m, y in zip(measured, base, strict=True))
@@ -282,7 +282,7 @@ def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray], de
     )
 
 
-def fit_declared(evidence: Evidence, model: Model, *, keep_start: bool) -> TableFit:
+def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
     """Fit a declared model from scratch: the best of a grid of gains and lags, fitted on.
 
     ``keep_start`` also begins with the model's own values, as when it was read from a file.
@@ -291,34 +291,32 @@ def fit_declared(evidence: Evidence, model: Model, *, keep_start: bool) -> Table
     gains: Sequence[Value] = START_GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
     lags: Sequence[Value] = START_LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
     grid = [model.with_values({keys[0]: gain, keys[1]: lag}) for gain in gains for lag in lags]
-    tried = sorted(grid, key=lambda m: squares(deviations(evidence, m, evidence.known())))[:STARTS]
+    tried = sorted(grid, key=lambda m: squares(deviations(data, m, data.known())))[:STARTS]
     if keep_start:
         tried.append(model)
-    rough = [fit_tables(evidence, m, evaluations=ROUGH) for m in tried]
+    rough = [fit_tables(data, m, evaluations=ROUGH) for m in tried]
     best = min(rough, key=lambda f: f.cost)
-    return fit_tables(evidence, best.model, constants=best.constants, looks=LOOKS)
+    return fit_tables(data, best.model, constants=best.constants, looks=LOOKS)
 
 
-def deviations(evidence: Evidence, model: Model, constants: Sequence[Sequence[float]]) -> np.ndarray:
+def deviations(data: Rows, model: Model, constants: Sequence[Sequence[float]]) -> np.ndarray:
     """What a model as it is leaves of all figures (n), in floors."""
     plant = Plant.of(model)
-    left = [
-        evidence.measured(p) - evidence.in_floors(p, evidence.predict(p, plant, constants)) for p in evidence.places
-    ]
+    left = [data.measured(p) - data.in_floors(p, data.predict(p, plant, constants)) for p in data.places]
     return np.concatenate(left)
 
 
-def without_row(evidence: Evidence, fitted: TableFit, row: int, looks: int = 0) -> np.ndarray:
+def without_row(data: Rows, fitted: TableFit, row: int, looks: int = 0) -> np.ndarray:
     """What is left of a row (in floors) by the model fitted to the others, with ``looks`` of a simplex beyond that."""
-    rest = [i for i in range(len(evidence)) if i != row]
-    problem = _Problem(evidence, fitted.model, rest)
-    measured = np.concatenate([evidence.measured(evidence.places[i]) for i in rest])
-    x = problem.solve(vector(evidence, fitted.model, fitted.constants), measured, AGAIN)
+    rest = [i for i in range(len(data)) if i != row]
+    problem = _Problem(data, fitted.model, rest)
+    measured = np.concatenate([data.measured(data.places[i]) for i in rest])
+    x = problem.solve(vector(data, fitted.model, fitted.constants), measured, AGAIN)
     if looks:
         x = problem.settle(x, measured, looks)
     plant, constants = problem.split(x)
-    place = evidence.places[row]
-    return np.asarray(evidence.measured(place) - evidence.in_floors(place, evidence.predict(place, plant, constants)))
+    place = data.places[row]
+    return np.asarray(data.measured(place) - data.in_floors(place, data.predict(place, plant, constants)))
 
 
 def shown_by_one_row(fitted: TableFit, name: str) -> bool:

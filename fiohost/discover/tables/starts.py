@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fiohost.discover.screen import varied
-from fiohost.discover.tables.fit import Evidence, TableFit, deviations, fit_tables
+from fiohost.discover.tables.fit import Rows, TableFit, deviations, fit_tables
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
@@ -47,21 +47,21 @@ def _with_starts(item: Effect) -> list[dict[str, Value]]:
     return [{**t, **{q.name: q.start for q in found}} for t, found in zero if found]
 
 
-def held(evidence: Evidence, base: TableFit, item: Effect) -> list[TableFit]:
+def held(data: Rows, base: TableFit, item: Effect) -> list[TableFit]:
     """The base model with one effect added, the rest fitted to the sizes that it has, from its best trials; none where
     it leaves no trace.
     """
     given = [*item.trials, *_with_starts(item)]
     trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
-    if max(np.abs(deviations(evidence, m, base.constants) - before).max() for m in trials) <= TRACE_FLOORS:
+    if max(np.abs(deviations(data, m, base.constants) - before).max() for m in trials) <= TRACE_FLOORS:
         return []
     own = [f"{item.name}.{q.name}" for q in item.parameters]
     sizes = [k for k in trials[0].free() if k in own]
 
     def beside(model: Model) -> TableFit:
         fixed = replace(model, fixed=model.fixed | set(own))
-        return fit_tables(evidence, fixed, constants=base.constants, evaluations=HELD, derive=False)
+        return fit_tables(data, fixed, constants=base.constants, evaluations=HELD, derive=False)
 
     def best_around(model: Model) -> TableFit:
         more = spread(model, sizes, max(POINTS // len(trials), 1) - 1) if sizes else []
@@ -73,12 +73,12 @@ def held(evidence: Evidence, base: TableFit, item: Effect) -> list[TableFit]:
     return [found[i] for i in order[:BEST]]
 
 
-def downhill(evidence: Evidence, start: TableFit) -> TableFit:
+def downhill(data: Rows, start: TableFit) -> TableFit:
     """A start followed down, then past the jump of single figures, then down again; the best of the way."""
     found = [start]
     for jumps in (0.0, JUMP_FLOORS, 0.0):
         last = found[-1]
         found.append(
-            fit_tables(evidence, last.model, constants=last.constants, evaluations=FREE, jumps=jumps, derive=False)
+            fit_tables(data, last.model, constants=last.constants, evaluations=FREE, jumps=jumps, derive=False)
         )
     return min(found, key=lambda f: f.cost)

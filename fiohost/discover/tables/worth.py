@@ -1,4 +1,4 @@
-"""What a single explanation is worth: an effect fitted beside a stage like any candidate, believed or not."""
+"""What a single explanation is worth: an effect fitted beside a node like any candidate, believed or not."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from math import sqrt
 
 import numpy as np
 
-from fiohost.discover.tables.fit import Evidence, TableFit
-from fiohost.discover.tables.search import Search, TableStage, can_be_left_out, left_out
+from fiohost.discover.search import Child, Node, Search
+from fiohost.discover.tables.fit import TableFit, without_row
+from fiohost.discover.tables.objective import Readings, not_shown
 from fiohost.errors import ConfigError
 from fiohost.motor.effect import effect
 
@@ -26,32 +27,37 @@ class Worth:
     why_not: str | None = None
 
 
-def worth(search: Search, stage: TableStage, name: str) -> Worth:
-    """One effect beside a stage: what it leaves, and why it is not believed (None: it is). Raises ConfigError for an
+def worth(readings: Readings, node: Node, name: str) -> Worth:
+    """One effect beside a node: what it leaves, and why it is not believed (None: it is). Raises ConfigError for an
     effect that tables say nothing of or that the model has.
     """
-    item = effect(name)
-    if name in stage.fit.model.effects or name == "linear":
-        raise ConfigError(f"{name} is part of {stage.fit.model.expression} already")
-    if item.angle_bound or item.trials_for is not None or not item.trials:
-        what = "angle" if item.angle_bound else "time"
-        raise ConfigError(f"{name} cannot be tried: a table of readings does not say at which {what}")
-    (fitted,) = search.refits(stage.fit, [item])
-    if fitted is None:
+    item, model = effect(name), node.state.fit.model
+    if name in model.effects or name == "linear":
+        raise ConfigError(f"{name} is part of {model.expression} already")
+    if why_not := not_shown(item) or (None if item.trials else "it has no size to begin from"):
+        raise ConfigError(f"{name} cannot be tried: {why_not}")
+    beside = readings.beside(node.state)
+    found = beside.refitted([item], lambda text: None)
+    if not found:
+        stage = readings.stage(node.state)
         return Worth(name, None, stage.fit.rms, stage.left_out_rms, "leaves no trace in these figures")
-    why = search.unbelievable(stage, item, fitted, search.chance(stage.fit, fitted, 1))
-    return Worth(name, fitted, fitted.rms, left_out_rms(search.evidence, fitted), why)
+    state = found[0][1]
+    child = Child(item, state, node.state.deviance - state.deviance)
+    why = Search(readings, [name], lambda text: None).objection(node, child, beside.null(state))
+    fitted = readings.fitted(state)
+    return Worth(name, fitted, fitted.rms, left_out_rms(readings, fitted), why)
 
 
-def left_out_rms(evidence: Evidence, fitted: TableFit, looks: int = 0) -> float | None:
+def left_out_rms(readings: Readings, fitted: TableFit, looks: int = 0) -> float | None:
     """Error of rows left out of a fit in turn, in floors.
 
     Figures jump, so that a fit may stay where it is when a row is taken away, and remember that row; ``looks`` of a
     simplex walk it on.
     """
-    if not can_be_left_out(evidence, fitted):
+    if not readings.can_be_left_out(fitted):
         return None
-    return float(np.sqrt(np.mean(np.concatenate(left_out(evidence, fitted, looks)) ** 2)))
+    left = [without_row(readings.rows, fitted, row, looks) for row in range(len(readings.rows))]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
 
 def scatter_needed(rms: float, limit_rms: float) -> float:
