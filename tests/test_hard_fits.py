@@ -43,6 +43,17 @@ def test_the_moment_of_an_event_is_found_from_windows(which: str) -> None:
     assert found.rms < 2.0 * COUNT_NOISE < base.rms
 
 
+def test_a_moment_is_found_where_windows_begin_far_from_the_free_run() -> None:
+    rng = np.random.default_rng(45)
+    event = {"parameter_change.time_s": 32.2, "parameter_change.which": "gain", "parameter_change.ratio": 1.33}
+    record = measure(truth_model(("coulomb_friction", "parameter_change"), event), steps(60.0, rng), rng)
+    found = fit_event(
+        fit_from_scratch(Model.parse("linear+coulomb_friction"), [record]), effect("parameter_change"), [record]
+    )
+    assert found.model.number("parameter_change.time_s") == pytest.approx(32.2, abs=0.2)
+    assert found.model.number("parameter_change.ratio") == pytest.approx(1.33, rel=0.02)
+
+
 def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     rng = np.random.default_rng(5)
     warming = {"friction_warm_up.ratio": 0.6, "friction_warm_up.time_constant_s": 40.0}

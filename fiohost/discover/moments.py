@@ -91,18 +91,19 @@ def _suggested(near: Fit, effect: Effect, moment: Parameter, records: Sequence[R
     ratio = next(p for p in effect.parameters if p.neutral is not None)
     choice = next(p for p in effect.parameters if p.is_choice)
     begin = span_of(records).time_s[0]
+    before = _windows_of(near.model, near, records)  # as those after: a fit knows better where its windows begin
     changes = []
     for which in choice.choices:
         changed = near.model.with_effect(
             effect.name, {moment.name: begin, choice.name: which, ratio.name: 1.0 + MOMENTS.small_change}
         )
         after = _windows_of(changed, near, records)
-        changes.append([(a - b) / MOMENTS.small_change for a, b in zip(near.residuals, after, strict=True)])
+        changes.append([(a - b) / MOMENTS.small_change for a, b in zip(before, after, strict=True)])
     own = len(near.names)
     times: list[float] = []
     grams: list[np.ndarray] = []
     for i, record in enumerate(records):
-        columns = np.column_stack([near.jacobians[i], *(c[i] for c in changes), near.residuals[i]])
+        columns = np.column_stack([near.jacobians[i], *(c[i] for c in changes), before[i]])
         for a, b in zip(record.windows[:-1], record.windows[1:], strict=True):
             times.append(record.excitation.clock_s + float(record.excitation.times_s[a]))
             grams.append(columns[a:b].T @ columns[a:b])
