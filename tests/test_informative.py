@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +77,19 @@ def test_a_declared_effect_is_not_among_those_that_cannot_be_shown() -> None:
     record = measure(truth_model(), np.full(800, 30.0), np.random.default_rng(2))
     assert "backlash" in hidden(inform([record], [Said()]))
     assert "backlash" not in hidden(inform([record], [Said()], ["backlash"]))
+
+
+@pytest.mark.parametrize("counts_rms", [1.0, 3.0])
+def test_what_a_noisy_sensor_shows_is_what_the_shaft_does(tmp_path: Path, counts_rms: float) -> None:
+    rng = np.random.default_rng(3)
+    exact = [record_from_log(log) for log in logs_of("sim", tmp_path, [*SUITE, closed_loop()])]
+    noisy = [replace(r, y=r.y + counts_rms * r.quantum * rng.standard_normal(len(r))) for r in exact]
+    noisy = [replace(r, y=np.floor(r.y / r.quantum) * r.quantum) for r in noisy]
+    seen, truth = (inform(records, [Said()] * len(exact)).exercised for records in (noisy, exact))
+    assert seen.starts >= 0.7 * truth.starts
+    assert 0.3 * truth.reversals <= seen.reversals <= 1.2 * truth.reversals
+    assert seen.standstill_s > 0.7 * truth.standstill_s
+    assert seen.useful_hz is not None
+    assert truth.useful_hz is not None
+    assert 3.0 < seen.useful_hz < truth.useful_hz
+    assert "static_friction" not in hidden(inform(noisy, [Said()] * len(exact)))

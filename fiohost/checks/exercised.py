@@ -6,18 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import welch
 
 from fiohost.checks.counts import quantum_of
 from fiohost.checks.said import Said
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, SMOOTH_S, Record
 
-# A shaft stands where its reading stays for so long, and has moved where it left by more counts than one flicker.
+# A shaft stands where its reading stays for so long, and has moved where it left by more grains than one flicker.
 STANDS_S, STANDS_SAMPLES = 0.1, 5
-MOVED_COUNTS = 2.0
+MOVED_GRAINS = 2.0
+# Readings without their fast noise still wander by so many times the error of their running median.
+WANDERS = 5.0
+MEDIAN = 1.25  # its standard error over that of a mean
 SPEED_SPAN_S = 0.02
 LEVEL_PCT = 10.0
-ABOVE_COUNTS, MOST_LINES, SEGMENT_S = 2.0, 0.8, 2.0
+ABOVE_ERROR, MOST_LINES, SEGMENT_S = 2.0, 0.8, 2.0
 SLOW_SHARE = 0.1
 
 
@@ -53,13 +57,19 @@ class Exercised:
 
 @dataclass(frozen=True)
 class _Motion:
-    """One log as movement: ``angle`` (n) from the reading or its sum, ``speed`` (n), the ``duty`` (n) that acts."""
+    """One log as movement: ``angle`` (n) from the reading or its sum, ``speed`` (n), the ``duty`` (n) that acts.
+
+    They are without the sensor's fast noise. ``grain`` is the least change of angle that is one: a count, and how far
+    what is left of the noise wanders. ``raw`` (n) is the angle as it was read, ``variance`` that of its error.
+    """
 
     times_s: np.ndarray
     angle: np.ndarray
     speed: np.ndarray
     duty: np.ndarray
-    quantum: float
+    raw: np.ndarray
+    variance: float
+    grain: float
     sample_s: float
     standing: np.ndarray
 
@@ -74,35 +84,36 @@ def _runs(same: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
-def _standing(record: Record, angle: np.ndarray, quantum: float) -> np.ndarray:
-    """Samples (n, boolean) at which the shaft stands: the reading stays within a count for some time."""
-    least = max(STANDS_SAMPLES, round(STANDS_S / record.sample_time_s))
-    still = np.abs(np.diff(angle, prepend=angle[0])) < 0.5 * quantum
-    standing = np.zeros(len(angle), dtype=bool)
-    for a, b in _runs(still):
-        standing[a:b] = b - a >= least
-    return standing
+def _standing(record: Record, angle: np.ndarray, within: float) -> np.ndarray:
+    """Samples (n, boolean) at which the shaft stands: the reading stays ``within`` so much for some time."""
+    least = max(STANDS_SAMPLES, round(STANDS_S / record.sample_time_s)) | 1  # as much before as after
+    still = maximum_filter1d(angle, least) - minimum_filter1d(angle, least) < within
+    return np.asarray(maximum_filter1d(still.astype(np.int8), least) > 0)
 
 
 def _motion(record: Record) -> _Motion:
     ex, quantum = record.excitation, quantum_of(record)
     span = max(1, round(SPEED_SPAN_S / record.sample_time_s))
-    angle = record.y if record.kind == ANGLE else np.cumsum(record.y) * record.sample_time_s
+    noise = record.scatter
+    read = record.smooth if noise > 0.0 else record.y
+    wander = WANDERS * MEDIAN * noise / np.sqrt(max(SMOOTH_S / record.sample_time_s, 1.0))
+    angle = read if record.kind == ANGLE else np.cumsum(record.y) * record.sample_time_s
     if record.kind == ANGLE:
         kernel = np.concatenate((np.full(span, angle[0]), angle, np.full(span, angle[-1])))
         gap = np.concatenate((np.full(span, ex.times_s[0]), ex.times_s, np.full(span, ex.times_s[-1])))
         speed = (kernel[2 * span :] - kernel[: -2 * span]) / np.maximum(gap[2 * span :] - gap[: -2 * span], 1e-12)
-        standing = _standing(record, angle, quantum)
+        standing = _standing(record, angle, 0.5 * quantum + wander)
+        raw, variance, grain = record.y, quantum**2 / 12.0 + noise**2, quantum + wander
     else:
-        speed, standing = record.y, np.abs(record.y) < 0.5 * max(quantum, 1e-12)
-        quantum *= record.sample_time_s
+        speed, standing = read, np.abs(read) < max(0.5 * quantum + wander, 1e-12)
+        raw, variance, grain = angle, (quantum * record.sample_time_s) ** 2 / 12.0, quantum * record.sample_time_s
     acting = ex.duties_pct[np.searchsorted(ex.act_times_s, ex.times_s, side="right")]
-    return _Motion(ex.times_s, angle, speed, acting, quantum, record.sample_time_s, standing)
+    return _Motion(ex.times_s, angle, speed, acting, raw, variance, grain, record.sample_time_s, standing)
 
 
 def _reversals(motion: _Motion) -> int:
     """Turning points of the angle, each followed by more movement than a reading flickers."""
-    threshold = MOVED_COUNTS * motion.quantum
+    threshold = MOVED_GRAINS * motion.grain
     counted, way, extreme = 0, 0, float(motion.angle[0])
     for value in motion.angle[np.concatenate(([True], np.diff(motion.angle) != 0))].tolist():
         if (way >= 0 and value > extreme) or (way <= 0 and value < extreme):
@@ -120,21 +131,22 @@ def _starts(motion: _Motion) -> int:
     found = 0
     for _, b in _runs(motion.standing):
         left = motion.angle[b : b + ahead] - motion.angle[b - 1]
-        found += bool(np.max(np.abs(left), initial=0.0) > MOVED_COUNTS * motion.quantum)
+        found += bool(np.max(np.abs(left), initial=0.0) > MOVED_GRAINS * motion.grain)
     return found
 
 
 def _useful_hz(motions: Sequence[_Motion]) -> float | None:
-    """Highest frequency up to which the movement stands above the error of the counts, in the log that goes highest."""
+    """Highest frequency up to which the movement stands above the readings' error, in the log that goes highest."""
     found = []
     for m in motions:
         samples = round(SEGMENT_S / m.sample_s)
-        if len(m.angle) < 2 * samples or m.quantum <= 0:
+        if len(m.raw) < 2 * samples or m.variance <= 0.0:
             continue
-        # Second differences: steps of speed are flat in them, and the counts' error rises as the fourth power.
-        hz, power = welch(np.diff(m.angle / m.quantum, n=2), 1.0 / m.sample_s, nperseg=samples)
-        counts = (2.0 * m.sample_s / 12.0) * (2.0 * np.sin(np.pi * hz * m.sample_s)) ** 4
-        above = np.cumsum(power[1:] > ABOVE_COUNTS * counts[1:]) / np.arange(1, len(hz))
+        evenly = np.arange(m.times_s[0], m.times_s[-1], m.sample_s)  # missing rows would be steps
+        # Second differences: steps of speed are flat in them, and the readings' error rises as the fourth power.
+        hz, power = welch(np.diff(np.interp(evenly, m.times_s, m.raw), n=2), 1.0 / m.sample_s, nperseg=samples)
+        error = 2.0 * m.sample_s * m.variance * (2.0 * np.sin(np.pi * hz * m.sample_s)) ** 4
+        above = np.cumsum(power[1:] > ABOVE_ERROR * error[1:]) / np.arange(1, len(hz))
         good = np.flatnonzero(above > MOST_LINES)
         found.append(float(hz[1:][good[-1]]) if good.size else 0.0)
     return max(found) if found else None
@@ -147,7 +159,7 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
     moving = np.concatenate([m.moving for m in motions])
     weight = np.concatenate([np.full(len(m.speed), m.sample_s) for m in motions])
     top = float(np.max(np.abs(speed), initial=0.0))
-    floor = float(np.median([MOVED_COUNTS * m.quantum / (2.0 * SPEED_SPAN_S) for m in motions]))
+    floor = float(np.median([MOVED_GRAINS * m.grain / (2.0 * SPEED_SPAN_S) for m in motions]))
     runs = moving & (np.abs(speed) > floor)
     against = runs & (speed * duty <= 0.0)
     held = np.abs(duty[np.abs(duty) > 0])
