@@ -11,7 +11,6 @@ from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, count
 from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import WholeRuns, Windows
 from fiohost.discover.search import Node, Search
-from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
 from fiohost.discover.whitened import drawing, noise_of
@@ -36,7 +35,7 @@ def searched(
     tolerance_pct: float = 0.0,
 ) -> Found[Stage]:
     """What a declared model lacks: by whole runs; where these cannot be followed, by windows under the noise that is
-    left, without what is ``hidden`` from the logs; by whole runs again from there where they come near.
+    left, without what is ``hidden`` from the logs; by whole runs again from there.
 
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
@@ -59,13 +58,12 @@ def searched(
     by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
-    if exact:
+    if exact and (seen.added or runs.few):  # else they have been asked from there
         near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
         again = Node(runs.finished(runs.settled(near)), seen.added)
-        if again.state.fit.rms <= SETTINGS.lost * whole.stage(again).floor_rms:
-            again = again if whole.explains(again) else whole.run(again)
-            if whole.explains(again):
-                return whole.found(root, again)
+        again = again if whole.explains(again) else whole.run(again)
+        if whole.explains(again):
+            return whole.found(root, again)
     found = by_windows.found(begun, seen)
     found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
     if exact and not (found.white and found.final.follows):

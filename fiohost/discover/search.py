@@ -182,7 +182,7 @@ class Search(Generic[J]):
         """The nodes with one more effect that the data speak for, the best first."""
         beside = self.evidence.beside(node.state)
         offered, self.told = beside.offered(self.library)
-        if node.added:  # the little that another effect leaves can always be blamed on an event
+        if node.added and not self.evidence.exact:  # what another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
         if not offered:
