@@ -8,12 +8,13 @@ holds it against: from there on the data would not have been called complete.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from fiohost.advice.limit import Limit
 from fiohost.advice.windowed import Windowed
-from fiohost.discover.metrics import Judgement, weigh
+from fiohost.discover.metrics import Judgement
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.stage import Stage
@@ -40,27 +41,80 @@ class _Log:
     """One record's residuals and the bounds of its figures, to which a signature (n) is added."""
 
     def __init__(self, record: Record, judgement: Judgement, bounds: dict[str, float], lag_s: float) -> None:
-        self.record, self.bounds = record, bounds
+        self.record, self.bounds = record, {figure: bound for figure, bound in bounds.items() if bound > 0.0}
         self.free, self.windows = judgement.free_residual, judgement.window_residual
         self.first = record.first_second()
         self.windowed = Windowed(record, lag_s)
+        self.weights = record.weights**2
 
-    def prepared(self, signature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def prepared(self, signature: np.ndarray) -> _Grown:
         """A signature as it shows in the free run, begun with the first second, and in windows."""
         free = signature - signature[: self.first].mean() if self.record.kind == ANGLE else signature
-        return free, self.windowed.clean(free)
+        return _Grown(self, free, self.windowed.clean(free))
 
-    def over(self, free: np.ndarray, windows: np.ndarray, factor: float) -> tuple[float, str]:
-        """The largest figure over its bound, and which it is, with ``factor`` times a prepared signature added."""
-        e, w, quantum = self.free + factor * free, self.windows + factor * windows, self.record.quantum
-        edges = self.record.windows[:-1]
-        figures: dict[str, Callable[[], float]] = {
-            "free_run_rms": lambda: weigh(self.record, e).rms,
-            "window_rms": lambda: float(np.sqrt(np.mean(w**2))),
-            "bin_violation_pct": lambda: weigh(self.record, e).outside_pct or 0.0,
-            "wide_windows_pct": lambda: float(100.0 * np.mean(_spans(w, edges) > SEARCH.floor.wide * quantum)),
+
+class _Grown:
+    """The figures of a log over their bounds with a prepared signature (n in the free run, n in windows) added.
+
+    Those that are squares are polynomials of the factor on it; samples and windows are counted.
+    """
+
+    def __init__(self, log: _Log, free: np.ndarray, windows: np.ndarray) -> None:
+        self.log, self.free, self.windows = log, free, windows
+        weights = log.weights
+        self.weight = float(weights.sum())
+        self.means = np.array([weights @ log.free, weights @ free]) / self.weight
+        self.squares = _products(log.free, free, weights)
+        self.in_windows = _products(log.windows, windows, np.full(len(windows), 1.0 / len(windows)))
+
+    def over(self, factor: float, enough: float = np.inf) -> tuple[float, str]:
+        """The largest figure over its bound, and which it is; once one is beyond ``enough``, that one."""
+        found = (0.0, "")
+        for figure, of in self._figures.items():
+            if figure in self.log.bounds and found[0] <= enough:
+                found = max(found, (of(factor) / self.log.bounds[figure], figure))
+        return found
+
+    @cached_property
+    def _figures(self) -> dict[str, Callable[[float], float]]:
+        """What is found soonest comes first."""
+        return {
+            "free_run_rms": self._free_run_rms,
+            "window_rms": lambda f: float(np.sqrt(np.array([1.0, f, f * f]) @ self.in_windows)),
+            "bin_violation_pct": self._bin_violation_pct,
+            "wide_windows_pct": self._wide_windows_pct,
         }
-        return max(((figures[f]() / bound, f) for f, bound in self.bounds.items() if bound > 0), default=(0.0, ""))
+
+    def _offset(self, factor: float) -> float:
+        """Where within its first count the angle is, as ``weigh`` has it."""
+        half, mean = 0.5 * self.log.record.quantum, float(self.means @ (1.0, factor))
+        return min(max(mean, -half), half) if self.log.record.kind == ANGLE else 0.0
+
+    def _free_run_rms(self, factor: float) -> float:
+        offset, mean = self._offset(factor), float(self.means @ (1.0, factor))
+        square = float(self.squares @ (1.0, factor, factor**2)) / self.weight
+        return float(np.sqrt(max(square - offset * (2.0 * mean - offset), 0.0)))
+
+    def _bin_violation_pct(self, factor: float) -> float:
+        log, half = self.log, 0.5 * self.log.record.quantum
+        error = np.abs(log.free + factor * self.free - self._offset(factor))
+        return 100.0 * float(log.weights @ (error > half)) / self.weight if half > 0.0 else 0.0
+
+    def _wide_windows_pct(self, factor: float) -> float:
+        record = self.log.record
+        spans = _spans(self.log.windows + factor * self.windows, record.windows[:-1])
+        return float(100.0 * np.mean(spans > SEARCH.floor.wide * record.quantum))
+
+
+def _products(base: np.ndarray, added: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The weighted sum of squares of ``base`` (n) with a factor times another (n) added: its polynomial (3)."""
+    return np.array([weights @ base**2, 2.0 * (weights @ (base * added)), weights @ added**2])
+
+
+def largest(grown: Sequence[_Grown], factor: float = 1.0) -> tuple[float, str, str]:
+    """Of a factor on a signature: the largest figure over its bound, its log and its name."""
+    found = [(g.over(factor), g.log.record.name) for g in grown]
+    return max((ratio, name, figure) for (ratio, figure), name in found)
 
 
 def _spans(series: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -102,33 +156,24 @@ class Limits:
         parts = [left[a:b] / r.weights for r, a, b in zip(self.records, self.edges[:-1], self.edges[1:], strict=True)]
         return parts, float(np.linalg.norm(left)) / raw if raw > 0 else 0.0
 
-    def over(self, parts: Sequence[np.ndarray]) -> Callable[[float], tuple[float, str, str]]:
-        """Of a factor on a signature: the largest figure over its bound, its log and its name."""
-        ready = [log.prepared(p) for log, p in zip(self.logs, parts, strict=True)]
-
-        def largest(factor: float) -> tuple[float, str, str]:
-            found = []
-            for log, (free, windows) in zip(self.logs, ready, strict=True):
-                ratio, figure = log.over(free, windows, factor)
-                found.append((ratio, log.record.name, figure))
-            return max(found)
-
-        return largest
+    def prepared(self, parts: Sequence[np.ndarray]) -> list[_Grown]:
+        """A signature (n each) as it shows in every log."""
+        return [log.prepared(p) for log, p in zip(self.logs, parts, strict=True)]
 
     def factor(self, parts: Sequence[np.ndarray]) -> tuple[float, str, str]:
         """The smallest factor by which a signature is seen, infinite where none is; with log and figure."""
-        largest = self.over(parts)
+        grown = self.prepared(parts)
+
+        def seen(factor: float) -> bool:
+            return any(g.over(factor, 1.0)[0] > 1.0 for g in grown)
+
         low, high = np.log(FACTORS)
-        ratio, log, figure = largest(float(np.exp(high)))
-        if not ratio > 1.0:
+        if not seen(float(np.exp(high))):
             return np.inf, "", ""
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            seen = largest(float(np.exp(middle)))
-            if seen[0] > 1.0:
-                high, (_, log, figure) = middle, seen
-            else:
-                low = middle
+            low, high = (low, middle) if seen(float(np.exp(middle))) else (middle, high)
+        _, log, figure = largest(grown, float(np.exp(high)))
         return float(np.exp(high)), log, figure
 
     def of(self, effect: Effect) -> list[Limit]:
@@ -146,7 +191,7 @@ class Limits:
         base = self.outputs(self.model)
         for trial in trials:
             parts, _ = self.signature(self.model.with_effect(effect.name, trial), base)
-            ratio, log, figure = self.over(parts)(1.0)
+            ratio, log, figure = largest(self.prepared(parts))
             if ratio > 1.0:
                 seen.append((ratio, trial, log, figure))
         if not seen or not first.whole:

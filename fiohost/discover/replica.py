@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -15,10 +14,12 @@ from fiohost.discover.metrics import quantise
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.predict import Flat, free_output, read, turned_deg
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
+from fiohost.motor.compiled import compiled
 from fiohost.motor.hooks import EFFECT_INDEX
+from fiohost.motor.kernel import simulate
 from fiohost.motor.model import Model, slot
-from fiohost.motor.simulate import Start, run, start_state
-from fiohost.motor.state import BRAKE, DRIVE, LOAD_THETA, STANDBY, STATE_SIZE, THETA
+from fiohost.motor.simulate import Start, start_state
+from fiohost.motor.state import BRAKE, DRIVE, LOAD_THETA, STANDBY, STATE_SIZE, THETA, WORK_SIZE
 from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import LOAD_EFFECT, run_of, varied
@@ -124,26 +125,40 @@ def disturbed_output(record: Record, model: Model, start: Start, noise: Noise, r
         return free_output(record, flat, start)
     torque = draw_torque(ex.times_s, noise, rng)
     turned = turned_deg(record, flat)
-    state = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
+    begin = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
+    loads = (float(flat.p[LOAD]) if flat.on[LOADED] else 0.0) - torque
     states = np.empty((len(record), STATE_SIZE))
-    p, on = flat.p.copy(), flat.on.copy()
-    on[LOADED] = True
-    load = float(p[LOAD]) if flat.on[LOADED] else 0.0
-    last = len(record) - 1
-    begins = np.flatnonzero(np.r_[True, coasts[1:] | coasts[:-1]])
-    for first, after in pairwise([*begins[begins < last].tolist(), last]):
-        if coasts[first]:
-            p[LOAD] = load - torque[first]
-        found = run(
-            ex,
-            p if coasts[first] else flat.p,
-            on if coasts[first] else flat.on,
-            flat.substep_s,
-            state,
-            first,
-            after + 1,
-        )
-        states[first : after + 1] = found
-        state = found[-1]
+    run_loaded(
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, coasts, loads, begin, flat.substep_s,
+        flat.p, flat.on, flat.p.copy(), flat.on.copy(), np.empty(WORK_SIZE), states,
+    )  # fmt: skip
     states[:, [THETA, LOAD_THETA]] -= turned
     return read(record, flat, states)
+
+
+@compiled
+def run_loaded(  # type: ignore[no-untyped-def]
+    times, act_times, duties, modes, clock, coasts, loads, begin, substep, p, on, loaded_p, loaded_on, state, states
+):
+    """``states`` (n, STATE_SIZE) of a free run from ``begin``, of which each sample that ``coasts`` (n) has a load of
+    its own (n) until the next. The three arguments before ``states`` are work space, the first two of them copies.
+    """
+    loaded_on[LOADED] = True
+    for i in range(STATE_SIZE):
+        states[0, i] = begin[i]
+    first, end = 0, times.shape[0] - 1
+    while first < end:
+        after = first + 1
+        while not coasts[first] and after < end and not coasts[after]:
+            after += 1
+        for i in range(WORK_SIZE):
+            state[i] = states[first, i] if i < STATE_SIZE else 0.0
+        stretch = states[first : after + 1]
+        if coasts[first]:
+            loaded_p[LOAD] = loads[first]
+            simulate(
+                times, act_times, duties, modes, clock, first, after + 1, state, substep, loaded_p, loaded_on, stretch
+            )
+        else:
+            simulate(times, act_times, duties, modes, clock, first, after + 1, state, substep, p, on, stretch)
+        first = after

@@ -7,7 +7,7 @@ residual's power along it is its score.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +23,8 @@ from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 
 SCREEN = SETTINGS.screen
+# So many trials are whitened together: more would only fill the memory.
+TOGETHER = 8
 
 
 Trial = dict[str, Value]
@@ -151,21 +153,29 @@ class Screen:
 
     def signature(self, effect: Effect, trial: Trial) -> np.ndarray:
         """What adding an effect at a trial size changes (n), cleaned; zero where nothing of its own is left."""
-        return self._cleaned(self._change(effect, trial))
+        return self._cleaned(next(self._changes(effect, [trial])))
 
-    def _change(self, effect: Effect, trial: Trial) -> list[np.ndarray]:
-        flat = Flat.of(self.fit.model.with_effect(effect.name, trial))
-        if self._tangents:
-            return [t.by(flat, s, 1.0) for t, s in zip(self._tangents, self.fit.starts, strict=True)]
-        return [b - errors(r, flat, s) for r, s, b in zip(self.records, self.fit.starts, self._base, strict=True)]
+    def _changes(self, effect: Effect, trials: Sequence[Trial]) -> Iterator[list[np.ndarray]]:
+        """What adding an effect at each of some trial sizes changes, by record (n each)."""
+        starts = self.fit.starts
+        for i in range(0, len(trials), TOGETHER):
+            some = trials[i : i + TOGETHER]
+            flats = [Flat.of(self.fit.model.with_effect(effect.name, t)) for t in some]
+            if self._tangents:
+                by = [t.by_each([(f, s, 1.0) for f in flats]) for t, s in zip(self._tangents, starts, strict=True)]
+                yield from ([columns[:, j] for columns in by] for j in range(len(some)))
+                continue
+            for flat in flats:
+                base = zip(self.records, starts, self._base, strict=True)
+                yield [b - errors(r, flat, s) for r, s, b in base]
 
     def _cleaned(self, change: Sequence[np.ndarray]) -> np.ndarray:
         cleaned = self.clean(change)
         raw = float(np.sqrt(sum(float(c @ c) for c in change)))
         return cleaned if float(np.linalg.norm(cleaned)) > 1e-6 * raw else np.zeros_like(cleaned)
 
-    def _single(self, effect: Effect, trial: Trial, one_sided: bool) -> Direction:
-        signature = self.signature(effect, trial)
+    def _single(self, effect: Effect, trial: Trial, change: Sequence[np.ndarray], one_sided: bool) -> Direction:
+        signature = self._cleaned(change)
         size = float(np.linalg.norm(signature))
         if size == 0.0 or self.power == 0.0:
             return Direction(trial, np.zeros((len(signature), 1), dtype=np.float32), 0.0)
@@ -184,7 +194,7 @@ class Screen:
         columns = []
         for size, phase in effect.couples:
             alone = {**trial, **dict.fromkeys(sizes, 0.0), size: sizes[size]}
-            changes = [self._change(effect, {**alone, phase: degrees}) for degrees in (0.0, 90.0)]
+            changes = list(self._changes(effect, [{**alone, phase: degrees} for degrees in (0.0, 90.0)]))
             columns += [
                 self._cleaned([c if there else 0.0 * c for c, there in zip(change, zero, strict=True)])
                 for zero in zeros
@@ -216,7 +226,8 @@ class Screen:
         else:
             sized = [p for p in effect.parameters if p.neutral is not None]
             one_sided = bool(sized) and all(p.lower >= p.neutral or p.upper <= p.neutral for p in sized)  # type: ignore[operator]
-            found = [self._single(effect, t, one_sided) for t in trials]
+            changes = self._changes(effect, trials)
+            found = [self._single(effect, t, c, one_sided) for t, c in zip(trials, changes, strict=True)]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         starts: list[Trial] = []
         for i in varied(effect, trials, order)[: SCREEN.best_trials]:

@@ -106,17 +106,19 @@ class _Problem:
     ) -> np.ndarray:
         """Derivative (n, parameters) of what is simulated, one finite difference each, turned inward at a bound."""
         values = point.p[self.slots]
-        out = np.empty((len(residual), len(self.slots)))
+        moved: list[tuple[Flat, float]] = []
         for j, where in enumerate(self.slots):
             step = self.steps[j] * (max(abs(values[j]), 1e-9) if self.relative[j] else 1.0)
             if values[j] + step > self.upper[j]:
                 step = -step
             p = point.p.copy()
             p[where] += step
-            if tangent is not None:
-                out[:, j] = tangent.by(self.flat(p), start, step)
-            else:
-                out[:, j] = (residual - errors(record, self.flat(p), start, self.windows)) / step
+            moved.append((self.flat(p), step))
+        if tangent is not None:
+            return tangent.by_each([(flat, start, step) for flat, step in moved])
+        out = np.empty((len(residual), len(moved)))
+        for j, (flat, step) in enumerate(moved):
+            out[:, j] = (residual - errors(record, flat, start, self.windows)) / step
         return out
 
     def linearise(

@@ -76,7 +76,8 @@ class Flat:
         on = model.switches()
         warms = any(effects()[name].warms for name in model.effects)
         phases = tuple(where for name in model.effects for where in phase_slots(name))
-        return cls(model.vector(), on, model.substep_s(), THETA, bends, False, warms, phases).at(model.vector())
+        p = model.vector()
+        return cls(p, on, model.substep_s(), THETA, bends, False, warms, phases).at(p)
 
     def at(self, p: np.ndarray) -> Flat:
         """The same model with other values in its parameter array, for the bench's zero."""

@@ -7,6 +7,7 @@ windows, where fitting all of them anew takes several.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -32,13 +33,24 @@ class Tangent:
         # Of a long record few windows are looked at: everything is of their samples (k), one after the other.
         lengths = self.lasts - self.firsts
         self.window = np.repeat(np.arange(len(lengths)), lengths)
-        before = np.cumsum(lengths) - lengths
-        self.rows = np.arange(len(self.window)) + (self.firsts - before)[self.window]
+        self.before = np.cumsum(lengths) - lengths
+        self.rows = np.arange(len(self.window)) + (self.firsts - self.before)[self.window]
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
         speed is from a free run.
         """
+        return np.asarray(self.by_each([(flat, start, step)])[:, 0])
+
+    def by_each(self, changes: Sequence[tuple[Flat, Start, float]]) -> np.ndarray:
+        """Derivatives (n, k) by each of several changes (k): model, start and step as ``by`` takes them."""
+        found = np.zeros((len(self.record), len(changes)))
+        for j, (flat, start, step) in enumerate(changes):
+            found[self.rows, j] = self.unwhitened(flat, start, step)
+        return whitened(self.record, found)
+
+    def unwhitened(self, flat: Flat, start: Start, step: float) -> np.ndarray:
+        """The derivative (k) of the windows' samples as they are, one window after the other."""
         flat = of_run(self.record, flat, start)
         begins = self.begins
         if flat.remembers:
@@ -46,9 +58,7 @@ class Tangent:
             begins = moved(states, begins[:, THETA], begins[:, OMEGA])
         outputs, by_angle, by_speed = self._around
         change = (self._outputs(flat, begins) - outputs) / step
-        found = np.zeros(len(self.record))
-        found[self.rows] = change - self._along(change, by_angle) - self._along(change, by_speed)
-        return whitened(self.record, found)
+        return np.asarray(change - self._along(change, by_angle) - self._along(change, by_speed))
 
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -81,7 +91,7 @@ class Tangent:
 
     def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Sums of products (m) over each window's samples."""
-        return np.bincount(self.window, weights=a * b, minlength=len(self.firsts))
+        return np.asarray(np.add.reduceat(a * b, self.before))
 
     def _along(self, series: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """The part (k) of a series along a direction of unit length in each window."""

@@ -323,3 +323,9 @@ def layout() -> dict[str, int]:
         offsets[name] = offset
         offset += len(item.parameters)
     return offsets
+
+
+@cache
+def flat_size() -> int:
+    """Length of the kernel's flat parameter array: all parameters of all effects, and the PWM's period."""
+    return sum(len(item.parameters) for item in effects().values()) + 1

@@ -11,7 +11,7 @@ import numpy as np
 
 from fiohost.errors import ConfigError, FiohostError, ModelError
 from fiohost.files import write_output
-from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, layout
+from fiohost.motor.effect import Effect, Parameter, Value, effect, effects, flat_size, layout
 from fiohost.motor.seen import RANGES, Seen
 from fiohost.settings import Table, config_names, find_config, nearest, read_toml
 
@@ -205,15 +205,14 @@ class Model:
 
     def switches(self) -> np.ndarray:
         """Which effects are on, in the kernel's order."""
-        names = list(effects())
-        on = np.zeros(len(names), dtype=np.bool_)
+        on = np.zeros(len(layout()), dtype=np.bool_)
         for item in self.parts():
-            on[names.index(item.name)] = True
+            on[list(layout()).index(item.name)] = True
         return on
 
     def vector(self) -> np.ndarray:
         """All parameters in the kernel's flat order, then the PWM's period in s; those of absent effects are zero."""
-        flat = np.zeros(sum(len(e.parameters) for e in effects().values()) + 1)
+        flat = np.zeros(flat_size())
         flat[-1] = 1.0 / self.pwm_hz
         for item in self.parts():
             for i, parameter in enumerate(item.parameters):
