@@ -163,6 +163,7 @@ class Windows(Logs):
         self._moving: tuple[np.ndarray, ...] | None = None
         self.plain = plain(self.records)
         self._plainly: dict[int, tuple[State, Fit]] = {}
+        self._white: dict[int, tuple[State, bool]] = {}
 
     @property
     def margin(self) -> float:
@@ -235,6 +236,11 @@ class Windows(Logs):
     def white(self, state: State) -> bool:
         if state.noise is None or state.noise.torque_pct.value > self.most_torque_pct:
             return False
+        if id(state) not in self._white:
+            self._white[id(state)] = state, self._looks_white(state)
+        return self._white[id(state)][1]
+
+    def _looks_white(self, state: State) -> bool:
         null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
         uneven = unevenness(state.fit.residuals, [r.windows for r in state.records])
         return is_white(uneven, null.unevenness) and not self._ruled(state)

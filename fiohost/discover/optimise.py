@@ -73,7 +73,9 @@ def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fa
     """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
     ``lash`` is to be taken up anew.
     """
-    return unchanged(model, records, starts=found.starts, windows=found.windows, lash=lash, zeros=False).cost
+    windows, starts = found.windows, found.starts
+    tolerance = OPTIMISER.near_enough if windows else 1e-7
+    return unchanged(model, records, starts=starts, windows=windows, lash=lash, zeros=False, tolerance=tolerance).cost
 
 
 def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:

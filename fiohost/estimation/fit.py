@@ -355,7 +355,8 @@ def unchanged(
     windows: bool = False,
     lash: bool = True,
     zeros: bool = True,
+    tolerance: float = 1e-7,
 ) -> Fit:
     """The figures of a model as it is, nothing estimated but initial states."""
     frozen = replace(model, fixed=frozenset(k for k in model.values))
-    return fit(frozen, records, starts=starts, windows=windows, lash=lash, zeros=zeros)
+    return fit(frozen, records, starts=starts, windows=windows, lash=lash, zeros=zeros, tolerance=tolerance)

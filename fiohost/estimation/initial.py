@@ -195,13 +195,20 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
         return float(error @ error)
 
     if near is None:
-        near = guessed_warmth(record, flat, start, y)
+        near = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
     return _least(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0), WARMTH_CLOSE)
 
 
 def guessed_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
-    """About how warm it was at the start, for a fit that goes on from there."""
-    return _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+    """About how warm it was at the start, for a fit that goes on from there: the least of the parabola through the
+    errors of cold, half warm and warm.
+    """
+    cost = _in_windows(record, flat, start, y)
+    cold, half, warm = cost(0.0), cost(0.5), cost(1.0)
+    bend = cold - 2.0 * half + warm
+    if not bend > 0.0:
+        return 0.0 if cold <= warm else 1.0
+    return min(max(0.5 + 0.25 * (cold - warm) / bend, 0.0), 1.0)
 
 
 def _in_windows(record: Record, flat: Flat, start: Start, y: np.ndarray) -> Callable[[float], float]:

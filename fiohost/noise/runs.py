@@ -97,7 +97,7 @@ def growth(own: np.ndarray) -> np.ndarray:
 def shifted(p: np.ndarray, on: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameter array and switches of the kernel, as ``varied`` has them of a model."""
     p, on = p.copy(), on.copy()
-    p[_GAIN] *= 1.0 + own[GAIN]
+    p[_GAIN] *= max(1.0 + own[GAIN], LEAST_GROWTH)
     p[_FRICTIONS] *= max(1.0 + own[FRICTION], 0.0)
     p[_LOAD] += own[LOAD]
     on[EFFECT_INDEX[LOAD_EFFECT]] = True
