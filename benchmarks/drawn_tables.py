@@ -96,7 +96,8 @@ def one(make: Any, seed: int, kind: int) -> dict[str, Any]:
     with_it = [named[0], *told["steps"][0]["indistinguishable_from"]] if named else []
     return {
         "table": make.__name__, "seed": seed, "lacks": lacks, "named": named, "with": with_it,
-        "verdict": told["verdict"], "error_floors": told["after"]["train"]["free_run_rms"], "cpu_s": time.process_time() - cpu,
+        "verdict": told["verdict"], "error_floors": told["after"]["train"]["free_run_rms"],
+        "cpu_s": time.process_time() - cpu,
     }  # fmt: skip
 
 
