@@ -15,7 +15,7 @@ from fiohost.cli.lab import LABS
 from fiohost.cli.main import cli
 from fiohost.labs.questions import QUESTIONS
 from fiohost.labs.result import Answer, LabResult, Table
-from fiohost.report.lab import render_lab
+from fiohost.report.lab import render_lab, sentence
 
 NO_TEXT = {"list", "tables", "problems", "grade"}  # a problem's questions are its own answers
 
@@ -91,3 +91,11 @@ def test_a_question_of_the_text_is_followed_by_this_runs_answer_or_by_room_for_o
     assert "x&lt;y" in text
     assert "1.235" in text
     assert "A &amp; B" in text
+
+
+def test_answers_are_sentences_on_the_page_and_symbols_stay_as_they_are() -> None:
+    assert sentence("measured 2.3 s") == "Measured 2.3 s."
+    assert sentence("a step gives two numbers, K and tau.") == "A step gives two numbers, K and tau."
+    assert sentence("from -6.8 to -7.1") == "From -6.8 to -7.1."
+    assert sentence("w = -36.07 T") == "w = -36.07 T."
+    assert sentence("tau = 0.081 s") == "tau = 0.081 s."

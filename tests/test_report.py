@@ -58,6 +58,15 @@ def test_without_held_out_logs_the_training_error_is_what_is_told() -> None:
     assert "held out\n" not in printed({**result, "logs": []})
 
 
+def test_an_effect_that_was_found_too_is_no_rival() -> None:
+    result = diagnosis()
+    other = {**result["steps"][0], "effect": "cogging_torque", "indistinguishable_from": ["clock_ripple"]}
+    result["steps"].append(other)
+    said = words.verdict_sentence(result)
+    assert "gravity load and cogging torque (these data cannot tell it from clock ripple)" in said
+    assert words.rivals_of(result, result["steps"][0]) == []
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [(0.0, "0"), (1234.5, "1234"), (0.14567, "0.1457"), (2.5e-7, "2.500e-07"), (None, "–"), (float("nan"), "–"),

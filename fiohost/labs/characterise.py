@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from fiohost.labs.characterise_figures import draw, draw_curves
+from fiohost.labs.constants import MotorConstants
 from fiohost.labs.readings import Readings
 from fiohost.labs.result import Answer, Cell, LabResult, Table
-from fiohost.labs.solve_constants import UNITS, Constant, Lines, is_there, predicted_run_down, solve, speed_torque_line
+from fiohost.labs.solve_constants import (
+    UNITS,
+    Constant,
+    Lines,
+    constants_of,
+    is_there,
+    predicted_run_down,
+    solve,
+    speed_torque_line,
+)
 
 # The text's values (tables D-4 to D-6 and section D-1-4) and its run-down, measured
 TEXT = {"La": 0.0047, "Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00131, "tau_m": 0.081, "J": 0.00233}
@@ -71,6 +82,11 @@ def characterise(readings: Readings, L_H: float | None, target: str) -> LabResul
         figures={"characterise": lambda: draw(readings, found, lines),
                  "characterise_curves": lambda: draw_curves(readings, found)},
     )  # fmt: skip
+
+
+def viscous_only(readings: Readings, L_H: float | None = None) -> MotorConstants:
+    """The constants of the readings as the text's form of model has them, without dry friction. Raises DataError."""
+    return replace(constants_of(solve(readings)[0], readings, L_H), coulomb_Nm=0.0)
 
 
 def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dict[str, str]:

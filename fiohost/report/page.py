@@ -136,6 +136,7 @@ def render(
         interval=words.interval,
         remark=words.remark,
         steps=steps,
+        rivals=lambda step: words.rivals_of(diagnosis, step),
         chosen=chosen,
         candidates=candidates,
         outcomes=_outcomes(candidates, chosen),
