@@ -72,7 +72,7 @@ def test_a_lab_writes_one_page_with_all_in_it(arguments: list[str], lab: str, pl
     assert all(source.startswith("data:image/png;base64,") for source in page.loads)
     shown = html.unescape(re.sub(r"<[^>]+>", " ", text))
     for item in said["answers"]:
-        assert item["answer"] in shown
+        assert sentence(item["answer"]) in shown
     for item in QUESTIONS.get(lab, ()):
         assert item.text in shown
         assert item.where in shown
@@ -87,7 +87,7 @@ def test_a_question_of_the_text_is_followed_by_this_runs_answer_or_by_room_for_o
     text = render_lab(result, {}, {})
     whole(text)
     first, second = (text.index(item.text) for item in QUESTIONS["open-loop-sine"])
-    assert first < text.index("Your answer") < second < text.index("answer 10") < text.index("beside &lt;b&gt;")
+    assert first < text.index("Your answer") < second < text.index("Answer 10.") < text.index("Beside &lt;b&gt;")
     assert "x&lt;y" in text
     assert "1.235" in text
     assert "A &amp; B" in text

@@ -133,7 +133,8 @@ def _power_answer(readings: Readings, found: Mapping[str, Constant]) -> list[Ans
     (low, first), (high, last) = rows[0], rows[-1]
     told = f"taken for viscous it is {first:.3g} N m s at {low:.0f} % and {last:.3g} at {high:.0f} %"
     if "Tc" in found and is_there(found["Tc"]):
-        told += f": {found['B'].value:.3g} N m s are viscous, and {found['Tc'].value:.3g} N m of dry friction, which "
+        viscous = f"{found['B'].value:.3g} N m s are" if is_there(found["B"]) else "none is"
+        told += f": {viscous} viscous, and {found['Tc'].value:.3g} N m of dry friction, which "
         told += "is the same at every speed, count for less as the shaft gets faster"
     return [Answer("What does the friction do as the power rises (Fig. D-22)?", told)]
 
