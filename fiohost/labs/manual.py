@@ -38,7 +38,7 @@ SHOWN_UP_TO_PCT = 30.0  # above it the angle's picture is all stripes
 RUN_UP_S, WATCH_S = 1.5, 3.0
 # Table 2.1 of the lab text, and Fig. 2.9 for motor B as this lab connects it
 WIRING = Table(
-    "Wiring: driver board to FiO Lite (table 2.1; this lab, Fig. 2.9)",
+    "Wiring: driver board to FiO Lite (INC451, table 2.1; this lab, Fig. 2.9)",
     ("signal", "driver port", "pin", "this lab"),
     (
         ("direction 1, motor A", "Da1", "C1", None),
