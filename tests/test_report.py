@@ -149,6 +149,25 @@ def test_the_page_is_one_file_that_fetches_nothing(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["page.html"]
 
 
+def test_a_next_experiment_in_words_is_no_command(tmp_path: Path) -> None:
+    result = diagnosis()
+    text = write_page(tmp_path / "a.html", title="t", diagnosis=result).read_text(encoding="utf-8")
+    assert "<strong>fiohost run slow_turns</strong>" in text
+    result["next_experiment"] |= {"experiment": "a sum of sines", "in_words": True}
+    text = write_page(tmp_path / "b.html", title="t", diagnosis=result).read_text(encoding="utf-8")
+    assert "<strong>a sum of sines</strong>" in text
+
+
+def test_what_is_left_unexplained_though_small_is_said_not_to_be_random() -> None:
+    result = {**diagnosis(), "verdict": "unexplained", "steps": []}
+    told = "It is as small as chance leaves it, but it is not random."
+    assert told not in words.verdict_sentence(result)
+    result["residual"]["white"] = False
+    assert told not in words.verdict_sentence(result)  # above the floor
+    result["floor"]["holdout"]["free_run_rms"] = 0.15
+    assert words.verdict_sentence(result).endswith(told)
+
+
 def test_the_page_stands_with_the_least_that_a_diagnosis_can_hold(tmp_path: Path) -> None:
     result = copy.deepcopy(diagnosis())
     result.update(verdict="no_missing_effect", steps=[], candidates=[], next_experiment=None)

@@ -21,6 +21,7 @@ from fiohost.report.outlook import (
     extrapolation_sentences,
     limit_rows,
     upcoming_sentence,
+    upcoming_words,
 )
 from fiohost.report.physical import headline, size_rows, spoken, unit_words
 from fiohost.report.plots import (
@@ -146,6 +147,7 @@ def render(
         tests=_tests(diagnosis),
         upcoming=upcoming,
         upcoming_sentence=upcoming_sentence(diagnosis),
+        upcoming_words=upcoming_words(diagnosis),
         empirical=" ".join(
             text
             for text in (empirical_sentence(diagnosis), curves_sentence(diagnosis), *extrapolation_sentences(diagnosis))

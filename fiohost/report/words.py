@@ -148,7 +148,16 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
             f"Partly explained: adding {listed(found)} helped, but structure remains.{much} {change} "
             f"Unexplained: {remains}."
         )
-    return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
+    small = " It is as small as chance leaves it, but it is not random." if _is_small(diagnosis) else ""
+    said = f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}."
+    return f"{said}{_level(diagnosis, ' ')}{small}"
+
+
+def _is_small(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether no more is left than the floor, though it is no noise."""
+    error, floor = (error_of(diagnosis.get(key), judged(diagnosis)) for key in ("after", "floor"))
+    white = (diagnosis.get("residual") or {}).get("white")
+    return white is False and error is not None and floor is not None and error <= floor
 
 
 def _noise(diagnosis: Mapping[str, Any]) -> str:
