@@ -125,7 +125,7 @@ def _interval(c: Constant) -> str:
 def _power_answer(readings: Readings, found: Mapping[str, Constant]) -> list[Answer]:
     """Fig. D-22 in words, where more than one power was read."""
     rows = sorted(
-        (100.0 * abs(r.voltage_V) / readings.supply_V, found["Ki"].value * r.current_A / r.speed_rad_s)
+        (abs(r.power(readings.supply_V)), found["Ki"].value * r.current_A / r.speed_rad_s)
         for r in readings.no_load if r.current_A is not None
     )  # fmt: skip
     if len(rows) < 2:
@@ -153,7 +153,7 @@ def _powers(readings: Readings, found: Mapping[str, Constant]) -> Table:
     """Fig. D-22: viscous friction as the text takes it, power by power."""
     Ki = found["Ki"].value
     rows: list[list[Cell]] = [
-        [100.0 * r.voltage_V / readings.supply_V, r.voltage_V, r.speed_rad_s, r.current_A,
+        [r.power(readings.supply_V), r.voltage_V, r.speed_rad_s, r.current_A,
          None if r.current_A is None else Ki * r.current_A / r.speed_rad_s]
         for r in readings.no_load
     ]  # fmt: skip
@@ -204,7 +204,7 @@ def _curves(readings: Readings, found: Mapping[str, Constant]) -> dict[str, obje
     Ki = found["Ki"].value
     told: dict[str, object] = {
         "friction_by_power": [
-            {"power_pct": 100.0 * r.voltage_V / readings.supply_V, "B_Nms": Ki * r.current_A / r.speed_rad_s}
+            {"power_pct": r.power(readings.supply_V), "B_Nms": Ki * r.current_A / r.speed_rad_s}
             for r in readings.no_load if r.current_A is not None
         ]
     }  # fmt: skip

@@ -145,7 +145,7 @@ def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, windi
     fit = fit_step(run, volt, winding_s)
     assert run.current_A is not None
     current = float(np.mean(run.current_A[run.time_s > run.time_s[-1] - READ_S]))
-    meter = NoLoad(volt, fit.steady_rad_s, round(current / METER_A) * METER_A)
+    meter = NoLoad(volt, fit.steady_rad_s, round(current / METER_A) * METER_A, power)
     return meter, fit.tau_s
 
 
