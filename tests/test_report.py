@@ -160,7 +160,7 @@ def test_a_next_experiment_in_words_is_no_command(tmp_path: Path) -> None:
 
 def test_what_is_left_unexplained_though_small_is_said_not_to_be_random() -> None:
     result = {**diagnosis(), "verdict": "unexplained", "steps": []}
-    told = "It is as small as chance leaves it, but it is not random."
+    told = "It is no larger than the floor, but it is not random."
     assert told not in words.verdict_sentence(result)
     result["residual"]["white"] = False
     assert told not in words.verdict_sentence(result)  # above the floor

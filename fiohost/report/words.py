@@ -148,7 +148,7 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
             f"Partly explained: adding {listed(found)} helped, but structure remains.{much} {change} "
             f"Unexplained: {remains}."
         )
-    small = " It is as small as chance leaves it, but it is not random." if _is_small(diagnosis) else ""
+    small = " It is no larger than the floor, but it is not random." if _is_small(diagnosis) else ""
     said = f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}."
     return f"{said}{_level(diagnosis, ' ')}{small}"
 
