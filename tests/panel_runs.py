@@ -101,6 +101,17 @@ async def refuses(where: str, **headers: str) -> bool:
     return False
 
 
+async def drives(run: Run, browser: Tab, duty_pct: float) -> None:
+    """Ask for a duty until it is there: a browser that load keeps from painting is braked for, and may ask again."""
+    for _ in range(600):
+        await browser.send(press(duty_pct))
+        for _ in range(100):
+            if run.drives(duty_pct):
+                return
+            await asyncio.sleep(0.02)
+    raise AssertionError("it did not drive")
+
+
 async def arrives(what: Callable[[], bool]) -> None:
     for _ in range(6000):
         if what():

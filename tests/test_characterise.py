@@ -233,6 +233,8 @@ def test_the_saved_inductance_is_the_one_in_the_board(
     assert abs(motor.L_H - true_H) < 0.02 * true_H
     assert told["values"]["speed_torque_slope_rad_s_per_Nm"] == pytest.approx(-1.0 / motor.damping_Nms, rel=0.01)
     by_power = [row["B_Nms"] for row in told["values"]["friction_by_power"]]
+    powers = [row["power_pct"] for row in told["values"]["friction_by_power"]]
+    assert powers == [10.0, 20.0, 40.0, 60.0, 80.0, 100.0]  # what was asked for, whatever the bridge loses of it
     assert (by_power[0] > 3.0 * by_power[-1]) == (
         target != "sim:nxt_no_load"
     )  # Fig. D-22: friction that is dry falls with power

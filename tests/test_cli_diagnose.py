@@ -224,6 +224,23 @@ def test_json_on_standard_output_is_json_and_nothing_else(tmp_path: Path, logs: 
     assert "constant load" in result.stderr
 
 
+def test_a_reader_who_leaves_early_costs_none_of_the_files(
+    tmp_path: Path, logs: list[Path], quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``fiohost diagnose ... | head`` does."""
+
+    def left(*_: object) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("fiohost.report.tables.print_diagnosis", left)
+    told, model, report = tmp_path / "d.json", tmp_path / "found.toml", tmp_path / "r"
+    files = ["--json", told, "--save-model", model, "--report", report]
+    assert fiohost("diagnose", *logs[1:], "--model", DECLARED, *files).exit_code == 1
+    assert json.loads(told.read_text())["schema"] == "fiohost.diagnosis/1"
+    assert model.exists()
+    assert (report / "report.html").exists()
+
+
 # ---- damaged logs --------------------------------------------------------------------------------------------------
 
 

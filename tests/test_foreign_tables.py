@@ -330,3 +330,21 @@ def test_new_keys_of_a_map_are_read_and_checked(tmp_path: Path) -> None:
         log_from_table(
             tmp_path / "u.csv" if (tmp_path / "u.csv").write_text("t,u,i\n0,1,2\n1,2,3\n") else table, load()
         )
+
+
+@pytest.mark.parametrize("remark", ["L\u00fcfter an", ""])
+def test_a_column_of_remarks_that_one_line_fills_is_no_delimiter_at_the_end(remark: str, tmp_path: Path) -> None:
+    """Without it the row with the remark, and with that the names above it, went lost."""
+    rows = [f"22.11.2026 09:30:{k // 100:02d},{10 * (k % 100):03d};{k % 7},5;{3 * (k % 7)},0;" for k in range(500)]
+    rows[0] += remark
+    lines = ["Pr\u00fcfstand 3;;;", "Zeitstempel;Spannung [V];Drehzahl [1/min];Bemerkung", *rows]
+    table = tmp_path / "Messung.csv"
+    table.write_bytes(("\r\n".join(lines) + "\r\n").encode("cp1252"))
+    raw = read_raw(table)
+    assert [column.name for column in raw.columns] == [
+        "Zeitstempel", "Spannung [V]", "Drehzahl [1/min]", "Bemerkung"
+    ]  # fmt: skip
+    assert len(raw.columns[0].values) == 500
+    told = call("import", table, "--yes", "-o", tmp_path / "log.csv")
+    assert told.exit_code == 0, told.stderr
+    assert len(Log.read(tmp_path / "log.csv")) == 500

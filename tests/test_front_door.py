@@ -9,11 +9,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from desktop import Chromium, needed
 
 from fiohost.cli.main import COMMANDS, GROUPS, cli
+from fiohost.report.log_plot import plot_logs
+from fiohost.report.log_series import LogSeries
+from fiohost.report.plots import PIECES
 
 
 def call(*arguments: object) -> Result:
@@ -99,6 +103,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = call("run", "square_170_190", "--log", path)
     assert made.exit_code == 0, made.output
     return path
+
+
+@pytest.mark.parametrize(("samples", "bands"), [(200, 0), (5000, 1)])
+def test_the_error_of_a_long_log_is_a_band_with_its_mean_and_no_block(samples: int, bands: int) -> None:
+    time_s = 0.005 * np.arange(samples)
+    error = np.random.default_rng(1).uniform(-0.25, 0.25, samples)
+    duty = np.zeros(samples)
+    one = LogSeries("run", "deg", time_s, error, None, "deg/s", duty, 0.005, simulated=duty, model="linear")
+    figure = plot_logs([one], "run")
+    (axes,) = (a for a in figure.axes if a.get_ylabel().startswith("measured"))
+    assert len(axes.collections) == bands
+    assert max(len(line.get_xdata()) for line in axes.lines) <= PIECES
 
 
 @pytest.mark.parametrize("name", ["p.png", "p.svg", "p.pdf", "p.html"])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from fiohost.labs.pi_design import figures_of
 from fiohost.labs.printed import MEASURED, printed
 from fiohost.labs.result import LabResult
 from fiohost.labs.session import Gains, Session, position
-from fiohost.labs.small import small_steps_of_angle, small_steps_of_voltage
+from fiohost.labs.small import small_steps, with_small_steps
 from firmware_model import load_plant
 
 Q = TEXT["no_load"]
@@ -33,21 +35,35 @@ def lab(target: str, folder: Path, gains: tuple[float, ...]) -> LabResult:
         return LabResult("position-control", "loop", target, files=dict(session.logs))
 
 
-def test_what_the_labs_target_has_beside_its_model_is_named_and_nothing_else(tmp_path: Path) -> None:
-    """From the small steps of the lab; the large one's current is cut, which the model does not have."""
-    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1) as session:
-        session.on_target("position_kp5", position(Gains(5.0), 160.0), 1.0)
-        small_steps_of_angle(session, (1.5, 2.0, 5.0), "position")
-        result = LabResult("position-control", "loop", session.target, files=dict(session.logs))
-    found = with_difference(result, Q.model(), limited=Q.model(current_limit_A=1.0))
-    told = found.values["difference"]
-    assert len(told["logs"]) == 3
+def named(target: str, constants: str, folder: Path) -> Mapping[str, Any]:
+    """What the end of a lab says, from small steps alone."""
+    with Session.open(target, constants, folder, seed=1) as session:
+        session.on_target("position_kp5", position(Gains(5.0), 160.0), 1.0)  # its current is cut, the model's is not
+        own = LabResult("position-control", "loop", session.target, files=dict(session.logs))
+        result, model, limited = with_small_steps(session, own)
+    told = with_difference(result, model, limited=limited)
+    (answer,) = (a.answer for a in told.answers if a.question == QUESTION)
+    return {**told.values["difference"], "answer": answer}
+
+
+@pytest.mark.parametrize(
+    ("target", "constants", "dry_Nm"),
+    [("sim:nxt_lego", "no_load", 0.009), ("sim:nxt_lego_arm", "arm_measured", 0.017)],
+)
+def test_what_the_labs_target_has_beside_its_model_is_named_with_its_size(
+    target: str, constants: str, dry_Nm: float, tmp_path: Path
+) -> None:
+    """Both, and neither for the other: after a step is taken back friction slows the shaft, and a deadband does not."""
+    told = named(target, constants, tmp_path)
+    assert len(told["logs"]) == MOST_LOGS
     assert all("small" in name for name in told["logs"])
     assert told["verdict"] == "explained"
     assert set(told["effects"]) == {"coulomb_friction", "input_deadband"}
-    (answer,) = (a.answer for a in found.answers if a.question == QUESTION)
-    assert "friction" in answer
-    assert "fiohost diagnose" in answer
+    assert told["sizes"]["coulomb_friction.level_pct"] == pytest.approx(Q.torque_pct(dry_Nm), rel=0.05)
+    assert told["sizes"]["input_deadband.level_pct"] == pytest.approx(1.5, rel=0.1)
+    assert "cannot tell" not in told["answer"]
+    assert "Sizes: " in told["answer"]
+    assert "fiohost diagnose" in told["answer"]
 
 
 def test_small_moves_of_the_elevator_name_what_its_car_has(tmp_path: Path) -> None:
@@ -65,34 +81,13 @@ def test_small_moves_of_the_elevator_name_what_its_car_has(tmp_path: Path) -> No
     assert set(told["difference"]["effects"]) == {"coulomb_friction", "input_deadband"}
 
 
-def test_small_steps_of_voltage_name_what_the_target_has(tmp_path: Path) -> None:
-    """3 V ask a standing winding for 1.3 A; the lab's small steps stay below the limit, both ways."""
-    with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1) as session:
-        small_steps_of_voltage(session, "step")
-        result = LabResult("open-loop-step", "steps", session.target, files=dict(session.logs))
-    told = with_difference(result, Q.model(), limited=Q.model(current_limit_A=1.0)).values["difference"]
-    assert told["verdict"] == "explained"
-    assert "coulomb_friction" in told["effects"]
-
-
-def test_small_steps_of_the_arm_name_its_dry_friction(tmp_path: Path) -> None:
-    """What it turns through in its tuning and its project asks for more than 1 A."""
-    q = TEXT["arm_measured"]
-    with Session.open("sim:nxt_lego_arm", "arm_measured", tmp_path, seed=1) as session:
-        small_steps_of_angle(session, (2.0, 3.0, 5.0), "arm")
-        result = LabResult("design-project", "arm", session.target, files=dict(session.logs))
-    told = with_difference(result, q.model(), limited=q.model(current_limit_A=1.0)).values["difference"]
-    assert told["verdict"] == "explained"
-    assert "coulomb_friction" in told["effects"]
-
-
 def test_what_is_being_done_is_said_before_each_run(tmp_path: Path) -> None:
     said: list[str] = []
     with Session.open("sim:nxt_lego", "no_load", tmp_path, seed=1, said=said.append) as session:
-        small_steps_of_angle(session, (1.5, 2.0), "position")
+        small_steps(session, "position")
     assert [text.split(":")[0] for text in said] == [Path(name).stem for name in session.logs.values()]
     assert all("2 s on sim:nxt_lego" in text for text in said)
-    assert len(said) == 2
+    assert len(said) == 3
 
 
 def test_small_logs_go_before_those_of_the_text(tmp_path: Path) -> None:

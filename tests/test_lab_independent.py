@@ -107,11 +107,20 @@ def answer(number: int) -> LabResult:
     return PROBLEMS[number].solve()
 
 
-def printed(result: LabResult) -> set[str]:
-    """Every number of answers and tables, as it is printed."""
-    told = " ".join(a.answer for a in result.answers)
-    told += " " + " ".join(cell_text(cell) for t in result.tables for row in t.rows for cell in row)
-    return set(re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]\d+)?", told))
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]\d+)?")
+Place = tuple[str, int] | tuple[str, str, str]
+
+
+def printed(result: LabResult, place: Place) -> str:
+    """The number at one place, as printed: (question, which of its answer's numbers) or (table, row, column)."""
+    if len(place) == 2:
+        question, which = place
+        (told,) = (a.answer for a in result.answers if a.question.startswith(question))
+        return str(NUMBER.findall(told)[which])
+    title, row, column = place
+    table = next(t for t in result.tables if t.title.startswith(title))
+    (cells,) = (r for r in table.rows if cell_text(r[0]) == row)
+    return cell_text(cells[table.columns.index(column)])
 
 
 def shares(s: Solved) -> list[float]:
@@ -203,11 +212,26 @@ SOLUTIONS: dict[int, Callable[[], list[float]]] = {
 }  # fmt: skip
 
 
+A, B, C, D, E, F = ((f"({letter})", 0) for letter in "abcdef")
+LOADED = ("before (rad/s)", "after (rad/s)", "63 % (s)", "75 % (s)", "63 % of change (s)", "75 % of change (s)")
+WITH_LOAD: list[Place] = [("With the load", row, column) for row in ("D-1", "D-2", "D-3") for column in LOADED]
+# where each number of a solution stands
+PLACES: dict[int, list[Place]] = {
+    1: [A, B, C, D], 2: [("Steady speed", 0), A, B, C, D], 3: [A, B, C, D, E, F], 4: WITH_LOAD, 5: WITH_LOAD,
+    6: [("", 0)], 7: [A, B, C, D], 8: [A, B, C, D], 9: [("(a)", 1), B, C], 10: [("(a)", 1), B, C, A],
+    12: [B, C], 13: [B, A],
+    14: [("By gain", f"kp {kp:g}", column) for kp in (0.1, 0.2, 0.5, 1.0, 2.0)
+         for column in ("settled 5 % (s)", "rise (s)")],
+    15: [("By gain, derivative of the error", f"kd {kd:g}", column) for kd in (0.01, 0.02, 0.03)
+         for column in ("settled 5 % (s)", "ITAE (rad s2)")],
+    16: [("By gain", "kd 0", "error (rad)")], 17: [("By gain", "kd 0", "error (rad)")],
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("number", SOLUTIONS)
 def test_a_problem_is_right_to_the_printed_digits(number: int) -> None:
-    told = printed(answer(number))
-    for value in SOLUTIONS[number]():
-        assert f"{value:.4g}" in told, (number, value, sorted(told))
+    expected = [f"{value:.4g}" for value in SOLUTIONS[number]()]
+    assert [printed(answer(number), place) for place in PLACES[number]] == expected
 
 
 def test_d11_has_the_loop_gain_of_d7() -> None:
@@ -218,7 +242,7 @@ def test_d11_has_the_loop_gain_of_d7() -> None:
         s = solve(D1._replace(L=0.0), lambda t, w, a: 2.0 * kp * (2.0 - 0.2 * w), 2.0, points=101)
         return float(s.w[-1]) - end
 
-    assert f"{brentq(over, 0.1, 2.0):.4g}" in printed(answer(11))
+    assert printed(answer(11), ("Which kp", 0)) == f"{brentq(over, 0.1, 2.0):.4g}"
 
 
 def pid_loop(kp: float, ki: float, kd: float, points: int = 80_001) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

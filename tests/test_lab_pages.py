@@ -15,7 +15,7 @@ from fiohost.cli.lab import LABS
 from fiohost.cli.main import cli
 from fiohost.labs.questions import QUESTIONS
 from fiohost.labs.result import Answer, LabResult, Table
-from fiohost.report.lab import render_lab
+from fiohost.report.lab import render_lab, sentence
 
 NO_TEXT = {"list", "tables", "problems", "grade"}  # a problem's questions are its own answers
 
@@ -72,7 +72,7 @@ def test_a_lab_writes_one_page_with_all_in_it(arguments: list[str], lab: str, pl
     assert all(source.startswith("data:image/png;base64,") for source in page.loads)
     shown = html.unescape(re.sub(r"<[^>]+>", " ", text))
     for item in said["answers"]:
-        assert item["answer"] in shown
+        assert sentence(item["answer"]) in shown
     for item in QUESTIONS.get(lab, ()):
         assert item.text in shown
         assert item.where in shown
@@ -87,7 +87,15 @@ def test_a_question_of_the_text_is_followed_by_this_runs_answer_or_by_room_for_o
     text = render_lab(result, {}, {})
     whole(text)
     first, second = (text.index(item.text) for item in QUESTIONS["open-loop-sine"])
-    assert first < text.index("Your answer") < second < text.index("answer 10") < text.index("beside &lt;b&gt;")
+    assert first < text.index("Your answer") < second < text.index("Answer 10.") < text.index("Beside &lt;b&gt;")
     assert "x&lt;y" in text
     assert "1.235" in text
     assert "A &amp; B" in text
+
+
+def test_answers_are_sentences_on_the_page_and_symbols_stay_as_they_are() -> None:
+    assert sentence("measured 2.3 s") == "Measured 2.3 s."
+    assert sentence("a step gives two numbers, K and tau.") == "A step gives two numbers, K and tau."
+    assert sentence("from -6.8 to -7.1") == "From -6.8 to -7.1."
+    assert sentence("w = -36.07 T") == "w = -36.07 T."
+    assert sentence("tau = 0.081 s") == "tau = 0.081 s."

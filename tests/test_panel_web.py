@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import os
 import signal
@@ -15,12 +16,14 @@ import pytest
 from boards import HANG_S, rows_of
 from desktop import Chromium, needed
 from lines import PtyBoard
-from panel_runs import Run, arrives, joins, press, refuses, running
+from panel_runs import Run, arrives, drives, joins, press, refuses, running
 from test_cli_drive import FIOHOST, ROOT
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from fiohost.bench.log import Log
+
+LONG = "900"  # --away where nobody leaves: no load keeps a browser from painting for so long
 
 
 @pytest.fixture(autouse=True)
@@ -34,9 +37,9 @@ def ready(run: Run, browser: Chromium) -> None:
     run.until(lambda: (browser.value("window.fiohostPanel ? fiohostPanel.columns[0].length : 0") or 0) > 20)
 
 
-def test_in_a_browser_the_mouse_drives_brakes_and_stops_and_leaving_brakes(tmp_path: Path) -> None:
+def test_in_a_browser_the_mouse_drives_brakes_and_stops(tmp_path: Path) -> None:
     needed("chromium")
-    with running("--web", "--port", "0", "--away", "20") as run, Chromium(tmp_path / "profile") as browser:
+    with running("--web", "--port", "0", "--away", LONG) as run, Chromium(tmp_path / "profile") as browser:
         ready(run, browser)
         browser.put("#duty", "50")
         browser.press("#set")
@@ -56,12 +59,30 @@ def test_in_a_browser_the_mouse_drives_brakes_and_stops_and_leaving_brakes(tmp_p
         browser.put("#duty", "-30")
         browser.press("#set")
         run.until(lambda: run.drives(-30.0))
-        browser.close_tab()
-        run.until(run.braked)
         run.process.send_signal(signal.SIGINT)
         code, said, log = run.ended()
         assert code == 130, said
         assert log.metadata["ending"] == "stopped by Ctrl-C"
+
+
+def test_leaving_the_page_brakes(tmp_path: Path) -> None:
+    needed("chromium")
+    with running("--web", "--port", "0", "--away", "5") as run, Chromium(tmp_path / "profile") as browser:
+        ready(run, browser)
+        browser.put("#duty", "-30")
+        asked = itertools.count()
+
+        def drives() -> bool:
+            """Asked for every second or so: where load keeps the page from painting it is braked for."""
+            if next(asked) % 50 == 0:
+                browser.press("#set")
+            return run.drives(-30.0)
+
+        run.until(drives)
+        browser.close_tab()
+        run.until(run.braked)
+        run.process.send_signal(signal.SIGINT)
+        assert run.ended()[0] == 130
 
 
 INSIDE = """(() => { const box = document.getElementById("emergency").getBoundingClientRect();
@@ -78,7 +99,7 @@ def test_at_both_widths_the_stop_is_in_sight_and_sources_loops_records_and_zoom_
     tmp_path: Path, width_px: int
 ) -> None:
     needed("chromium")
-    with running("--web", "--port", "0", "--away", "30") as run, Chromium(tmp_path / "profile") as browser:
+    with running("--web", "--port", "0", "--away", LONG) as run, Chromium(tmp_path / "profile") as browser:
         browser.width(width_px, 800)
         ready(run, browser)
         for place in (0, 300, 5000):  # wherever the page is scrolled to
@@ -125,14 +146,12 @@ def test_a_browser_that_paints_nothing_is_braked_for_though_its_socket_lives() -
 
     async def session(run: Run) -> None:
         browser = await joins(run)
-        await browser.send(press(60.0))
-        await arrives(lambda: run.drives(60.0))
+        await drives(run, browser, 60.0)
         browser.frozen = True
         await arrives(run.braked)
         browser.frozen = False
         await browser.send('{"type": "ack"}')
-        await browser.send(press(-40.0))
-        await arrives(lambda: run.drives(-40.0))  # back, and asked for
+        await drives(run, browser, -40.0)  # back, and asked for
         run.process.send_signal(signal.SIGINT)
 
     with running("--web", "--port", "0", "--away", "5") as run:
@@ -162,7 +181,7 @@ def test_one_browser_drives_at_a_time_and_floods_and_nonsense_change_nothing() -
         await arrives(lambda: run.drives(-40.0))
         run.process.send_signal(signal.SIGINT)
 
-    with running("--web", "--port", "0", "--away", "30") as run:
+    with running("--web", "--port", "0", "--away", LONG) as run:
         asyncio.run(session(run))
         code, said, log = run.ended()
         assert code == 130
@@ -250,13 +269,11 @@ def test_sockets_that_leave_strangers_and_a_killed_display_all_leave_the_motor_b
             await websocket_connect(HTTPRequest(address, headers={"Origin": "http://evil.example"}))
         browser = await joins(run)
         await browser.send("nonsense")
-        await browser.send(press(60.0))
-        await arrives(lambda: run.drives(60.0))
+        await drives(run, browser, 60.0)
         browser.close()
         await arrives(run.braked)  # the last has gone
         again = await joins(run)
-        await again.send(press(-40.0))
-        await arrives(lambda: run.drives(-40.0))
+        await drives(run, again, -40.0)
         os.kill(run.display(), signal.SIGKILL)
 
     with running("--web", "--port", "0", "--away", "20") as run:

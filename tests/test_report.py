@@ -58,6 +58,15 @@ def test_without_held_out_logs_the_training_error_is_what_is_told() -> None:
     assert "held out\n" not in printed({**result, "logs": []})
 
 
+def test_an_effect_that_was_found_too_is_no_rival() -> None:
+    result = diagnosis()
+    other = {**result["steps"][0], "effect": "cogging_torque", "indistinguishable_from": ["clock_ripple"]}
+    result["steps"].append(other)
+    said = words.verdict_sentence(result)
+    assert "gravity load and cogging torque (these data cannot tell it from clock ripple)" in said
+    assert words.rivals_of(result, result["steps"][0]) == []
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [(0.0, "0"), (1234.5, "1234"), (0.14567, "0.1457"), (2.5e-7, "2.500e-07"), (None, "–"), (float("nan"), "–"),
@@ -138,6 +147,25 @@ def test_the_page_is_one_file_that_fetches_nothing(tmp_path: Path) -> None:
     assert html.count('class="record"') == 3
     assert len(html) < 3_000_000
     assert [p.name for p in path.parent.iterdir()] == ["page.html"]
+
+
+def test_a_next_experiment_in_words_is_no_command(tmp_path: Path) -> None:
+    result = diagnosis()
+    text = write_page(tmp_path / "a.html", title="t", diagnosis=result).read_text(encoding="utf-8")
+    assert "<strong>fiohost run slow_turns</strong>" in text
+    result["next_experiment"] |= {"experiment": "a sum of sines", "in_words": True}
+    text = write_page(tmp_path / "b.html", title="t", diagnosis=result).read_text(encoding="utf-8")
+    assert "<strong>a sum of sines</strong>" in text
+
+
+def test_what_is_left_unexplained_though_small_is_said_not_to_be_random() -> None:
+    result = {**diagnosis(), "verdict": "unexplained", "steps": []}
+    told = "It is no larger than the floor, but it is not random."
+    assert told not in words.verdict_sentence(result)
+    result["residual"]["white"] = False
+    assert told not in words.verdict_sentence(result)  # above the floor
+    result["floor"]["holdout"]["free_run_rms"] = 0.15
+    assert words.verdict_sentence(result).endswith(told)
 
 
 def test_the_page_stands_with_the_least_that_a_diagnosis_can_hold(tmp_path: Path) -> None:

@@ -40,13 +40,14 @@ def test_an_equation_carries_its_numbers_and_units() -> None:
     assert "(1 + 0.2000 * d**2)" in equation_words(effect("supply_sag"), sag)
 
 
-def made(truth: Model, seconds: float = 20.0) -> Record:
+def made(truth: Model, seconds: float = 20.0, error_deg: float = 0.0) -> Record:
     """A record of a motor: a slow sine through both directions, read in half degrees."""
     time_s = np.arange(round(seconds / TICK_S)) * TICK_S
     duty = 30.0 * np.sin(2 * np.pi * 0.1 * time_s)
     acting = np.concatenate([[0.0], duty])
     modes = np.where(acting == 0.0, BRAKE, DRIVE)
     angle = free_run(truth, Excitation(time_s, time_s, acting, modes), 0.0)
+    angle = angle + error_deg * np.sin(np.radians(angle))  # of the sensor, once a turn
     read = np.floor(2.0 * angle) / 2.0
     return record_from_log(Log.from_columns({"time_s": time_s, "duty_pct": duty, "angle_deg": read}), "run")
 
@@ -96,6 +97,32 @@ def test_friction_is_drawn_over_the_speed_and_a_map_of_the_duty_over_the_duty() 
     (line,) = picture.lines.values()
     assert picture.x_label == "commanded duty (%)"
     assert np.interp((20.0, -20.0), picture.x, line) == pytest.approx((-4.0, 4.0))
+
+
+@pytest.mark.parametrize("name", ["encoder_eccentricity", "shaft_angle_error"])
+def test_an_error_of_the_sensor_is_drawn_over_the_turn_and_its_data_lie_on_it(name: str) -> None:
+    sizes = {"level_deg": 3.0} if name == "encoder_eccentricity" else {"level_1_deg": 3.0}
+    if name == "shaft_angle_error":
+        sizes |= {"level_2_deg": 0.0, "level_3_deg": 0.0}
+    bent = Model(("coulomb_friction",)).with_effect(name, sizes)
+    (picture,) = effect_curves(found_by(bent, name, made(Model(("coulomb_friction",)), error_deg=3.0)))
+    (line,), (points,) = picture.lines.values(), picture.points.values()
+    assert np.ptp(line) > 5.0
+    assert points[1] == pytest.approx(np.interp(points[0], picture.x, line), abs=0.1)
+    assert "3.000 deg" in (picture.equation or "")
+
+
+def test_the_largest_order_is_the_size_and_a_true_phase_is_shown_on_the_turn_of_the_one_found() -> None:
+    told = diagnosis()
+    parameters = {"level_1_deg": parameter(0.24, "deg"), "level_3_deg": parameter(-0.47, "deg"),
+                  "phase_1_deg": parameter(-153.4, "deg")}  # fmt: skip
+    told["steps"][0] |= {"effect": "shaft_angle_error", "parameters": parameters}
+    told["final"]["parameters"]["shaft_angle_error.phase_1_deg"] = parameters["phase_1_deg"]
+    assert headline(told) == "shaft angle error -0.470 deg"
+    seal = {"reduced": {"shaft_angle_error": {"phase_1_deg": 206.6}, "linear": {"gain_deg_s_per_pct": 10.0}}}
+    page = render(title="t", diagnosis=told, seal=seal)
+    assert re.search(r"shaft angle error, phase 1</th><td class=\"n\">-153.40</td><td class=\"n\">-153.40</td>", page)
+    assert "linear, gain</th>" in page
 
 
 def test_an_effect_with_a_past_or_in_the_structure_has_no_such_curve() -> None:

@@ -77,7 +77,7 @@ class Log:
         if len(whole) < len(data):
             notes.append(f"{len(data) - len(whole)} zero bytes at the end of the file")
         if judged.state == ALTERED:
-            notes.append(f"nothing yet, but the file was altered since it was written: {'; '.join(judged.notes)}")
+            notes.append(f"nothing, but the file was altered since it was written: {'; '.join(judged.notes)}")
         del data
         return cls._of_bytes(whole, path, digest, notes)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +16,7 @@ from fiohost.files import claim, report_folder
 
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
+    from fiohost.discover.diagnose import Diagnosis
 
 
 @click.command()
@@ -141,22 +142,30 @@ def diagnose(
             announce=announce,
         )
     result = {**to_json(found), "constants": constants_of(heads, known).to_json()}
-    print_diagnosis(say.console, result, say.verbose)
-    if limits and not result["detection_limits"]:
-        say("no detection limits: while something is unexplained, it hides what else may be there")
+    try:
+        print_diagnosis(say.console, result, say.verbose)
+        if limits and not result["detection_limits"]:
+            say("no detection limits: while something is unexplained, it hides what else may be there")
+    finally:  # who reads along may leave before the end, as head does, and has asked for the files too
+        if save_model is not None:
+            found.in_hand.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
+        say.json(result)  # before the pictures, so that a full disk does not cost the result
+        if report is not None:
+            _write_report(report, found, result)
     if save_model is not None:
-        found.in_hand.write(save_model, f"fitted by fiohost diagnose to {len(found.train)} logs")
         say(f"model written to {save_model}")
-    say.json(result)  # before the pictures, so that a full disk does not cost the result
     if report is not None:
-        from fiohost.report.diagnosis import curves_of, series_of
-        from fiohost.report.page import write_page
-        from fiohost.report.plots import save_plots
-
-        series, curves = series_of(found), curves_of(found)
-        save_plots(report, series, result, curves)
-        write_page(report / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
         say(f"page and plots in {report}")
+
+
+def _write_report(folder: Path, found: Diagnosis, result: Mapping[str, Any]) -> None:
+    from fiohost.report.diagnosis import curves_of, series_of
+    from fiohost.report.page import write_page
+    from fiohost.report.plots import save_plots
+
+    series, curves = series_of(found), curves_of(found)
+    save_plots(folder, series, result, curves)
+    write_page(folder / "report.html", title="Diagnosis", diagnosis=result, series=series, curves=curves)
 
 
 def _percent(text: str) -> float:

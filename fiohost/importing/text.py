@@ -28,7 +28,6 @@ MAX_LINE = 100_000
 DELIMITERS = (",", ";", "\t", "|", " ")
 DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 SAMPLE = 400  # lines that decide how a table is written
-ENDS_EMPTY = 0.95  # share of lines that end with a delimiter
 MOST_FOOTERS = 20  # lines of text below the data
 HEADER_SOON = 30  # lines of a title block that look like data
 COMMENTS = ("#", "%", "//")
@@ -196,9 +195,14 @@ def _dialect(body: Sequence[_Line], path: Path) -> _Dialect:
 
 
 def _trimmed(split_lines: list[list[str]]) -> list[list[str]]:
-    """Without the empty cells that a delimiter at the end of each line makes."""
-    many = [cells for cells in split_lines if len(cells) > 1]
-    if not many or sum(not cells[-1] for cells in many) < ENDS_EMPTY * len(many):
+    """Without the empty cells that a delimiter at the end of each line makes; a column that one line fills, as remarks
+    are, stays.
+    """
+    widths = Counter(len(cells) for cells in split_lines if len(cells) > 1)
+    if not widths:
+        return split_lines
+    full = max(widths, key=lambda width: (widths[width], width))
+    if any(cells[-1] for cells in split_lines if len(cells) == full):
         return split_lines
     return [cells[:-1] if len(cells) > 1 and not cells[-1] else cells for cells in split_lines]
 

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from fiohost.labs.characterise_figures import draw, draw_curves
+from fiohost.labs.constants import MotorConstants
 from fiohost.labs.readings import Readings
 from fiohost.labs.result import Answer, Cell, LabResult, Table
-from fiohost.labs.solve_constants import UNITS, Constant, Lines, is_there, predicted_run_down, solve, speed_torque_line
+from fiohost.labs.solve_constants import (
+    UNITS,
+    Constant,
+    Lines,
+    constants_of,
+    is_there,
+    predicted_run_down,
+    solve,
+    speed_torque_line,
+)
 
 # The text's values (tables D-4 to D-6 and section D-1-4) and its run-down, measured
 TEXT = {"La": 0.0047, "Ra": 2.27, "Ki": 0.25, "Kb": 0.25, "B": 0.00131, "tau_m": 0.081, "J": 0.00233}
@@ -73,6 +84,11 @@ def characterise(readings: Readings, L_H: float | None, target: str) -> LabResul
     )  # fmt: skip
 
 
+def viscous_only(readings: Readings, L_H: float | None = None) -> MotorConstants:
+    """The constants of the readings as the text's form of model has them, without dry friction. Raises DataError."""
+    return replace(constants_of(solve(readings)[0], readings, L_H), coulomb_Nm=0.0)
+
+
 def _why(found: Mapping[str, Constant], lines: Lines, readings: Readings) -> dict[str, str]:
     """For each constant where the text's way would lead with these readings, in a few words."""
     R, Kb, B = (found[name].value for name in ("Ra", "Kb", "B"))
@@ -109,7 +125,7 @@ def _interval(c: Constant) -> str:
 def _power_answer(readings: Readings, found: Mapping[str, Constant]) -> list[Answer]:
     """Fig. D-22 in words, where more than one power was read."""
     rows = sorted(
-        (100.0 * abs(r.voltage_V) / readings.supply_V, found["Ki"].value * r.current_A / r.speed_rad_s)
+        (abs(r.power(readings.supply_V)), found["Ki"].value * r.current_A / r.speed_rad_s)
         for r in readings.no_load if r.current_A is not None
     )  # fmt: skip
     if len(rows) < 2:
@@ -117,7 +133,8 @@ def _power_answer(readings: Readings, found: Mapping[str, Constant]) -> list[Ans
     (low, first), (high, last) = rows[0], rows[-1]
     told = f"taken for viscous it is {first:.3g} N m s at {low:.0f} % and {last:.3g} at {high:.0f} %"
     if "Tc" in found and is_there(found["Tc"]):
-        told += f": {found['B'].value:.3g} N m s are viscous, and {found['Tc'].value:.3g} N m of dry friction, which "
+        viscous = f"{found['B'].value:.3g} N m s are" if is_there(found["B"]) else "none is"
+        told += f": {viscous} viscous, and {found['Tc'].value:.3g} N m of dry friction, which "
         told += "is the same at every speed, count for less as the shaft gets faster"
     return [Answer("What does the friction do as the power rises (Fig. D-22)?", told)]
 
@@ -136,7 +153,7 @@ def _powers(readings: Readings, found: Mapping[str, Constant]) -> Table:
     """Fig. D-22: viscous friction as the text takes it, power by power."""
     Ki = found["Ki"].value
     rows: list[list[Cell]] = [
-        [100.0 * r.voltage_V / readings.supply_V, r.voltage_V, r.speed_rad_s, r.current_A,
+        [r.power(readings.supply_V), r.voltage_V, r.speed_rad_s, r.current_A,
          None if r.current_A is None else Ki * r.current_A / r.speed_rad_s]
         for r in readings.no_load
     ]  # fmt: skip
@@ -187,7 +204,7 @@ def _curves(readings: Readings, found: Mapping[str, Constant]) -> dict[str, obje
     Ki = found["Ki"].value
     told: dict[str, object] = {
         "friction_by_power": [
-            {"power_pct": 100.0 * r.voltage_V / readings.supply_V, "B_Nms": Ki * r.current_A / r.speed_rad_s}
+            {"power_pct": r.power(readings.supply_V), "B_Nms": Ki * r.current_A / r.speed_rad_s}
             for r in readings.no_load if r.current_A is not None
         ]
     }  # fmt: skip

@@ -29,7 +29,7 @@ def draw_curves(readings: Readings, found: Mapping[str, Constant]) -> Figure:
         line = Curve(ends, begin + slope * ends, f"slope {slope:.3g} rad/s per N m", 0, "model")
         panels.append(Panel([Curve(torque, speed, "readings", -2, "points"), line], "speed (rad/s)",
                             "torque of the mass (N m)", "Speed against torque (Fig. D-21)"))  # fmt: skip
-    rows = [(100.0 * abs(r.voltage_V) / readings.supply_V, Ki * r.current_A / r.speed_rad_s)
+    rows = [(abs(r.power(readings.supply_V)), Ki * r.current_A / r.speed_rad_s)
             for r in readings.no_load if r.current_A is not None]  # fmt: skip
     power, friction = np.array(sorted(rows)).T
     panels.append(

@@ -79,7 +79,8 @@ def with_difference(
         found: Mapping[str, Any] = to_json(diagnose(logs, model=model, library=LOOKED_FOR))
     except FiohostError as exc:
         return replace(result, answers=(*result.answers, Answer(QUESTION, f"These logs do not say: {exc}")))
-    told = f"{verdict_sentence(found)} From {' and '.join(Path(name).name for name in logs)}; looked for were "
+    told = f"{verdict_sentence(found)}{_sizes(found)} From {' and '.join(Path(name).name for name in logs)}; "
+    told += "looked for were "
     told += (
         ", ".join(name.replace("_", " ") for name in LOOKED_FOR)
         + ("; a limit of the current, which some of them reach, is not in the model" if is_limited else "")
@@ -89,8 +90,29 @@ def with_difference(
         "verdict": found["verdict"],
         "effects": [step["effect"] for step in found["steps"]],
         "indistinguishable_from": [step.get("indistinguishable_from") or [] for step in found["steps"]],
+        "sizes": {key: p["value"] for key, p in _found(found).items()},
         "logs": logs,
     }
     return replace(
         result, answers=(*result.answers, Answer(QUESTION, told)), values={**result.values, "difference": values}
     )
+
+
+def _found(told: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of the effects that were found, by ``effect.parameter``."""
+    found = {step["effect"] for step in told["steps"]}
+    return {key: p for key, p in told["final"]["parameters"].items() if key.partition(".")[0] in found}
+
+
+def _sizes(told: Mapping[str, Any]) -> str:
+    """How large each effect is that was found, with its 95 % interval; empty where none was."""
+    from fiohost.report.words import effect_words
+
+    sizes = [f"{effect_words(key.partition('.')[0])} {_sized(p)}" for key, p in _found(told).items()]
+    return f" Sizes: {'; '.join(sizes)}." if sizes else ""
+
+
+def _sized(parameter: Mapping[str, Any]) -> str:
+    low, high = parameter.get("ci95") or (None, None)
+    told = f"{parameter['value']:.3g} {parameter['unit']}"
+    return told if low is None or high is None else f"{told} ({low:.3g} to {high:.3g})"

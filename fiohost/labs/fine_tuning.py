@@ -19,7 +19,6 @@ from fiohost.labs.play import Run
 from fiohost.labs.printed import position_rows
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 from fiohost.labs.session import Gains, Session, position
-from fiohost.labs.small import small_steps_of_angle
 from fiohost.labs.transfer import motor_function
 from fiohost.settings import nearest
 
@@ -30,7 +29,6 @@ RUN_S = 2.0
 MUCH = 4.0  # times what counts leave: more than a finer tuning would take
 TUNED = {"J": ("J_kgm2",), "B": ("B_Nms",), "both": ("J_kgm2", "B_Nms")}
 FACTORS = (0.7, 0.8, 0.9, 1.1, 1.2)  # of what was measured, shown beside
-SMALL_GAINS = (0.67, 1.0, 1.67)  # times the gain: how far the small steps go
 RANGE = (0.3, 3.0)  # within which it is looked for
 
 
@@ -77,7 +75,6 @@ def fine_tuning(session: Session, kp: float = 3.0, step_deg: float = 160.0, tune
         raise ConfigError(f"unknown choice {tuned!r} of what is tuned; {nearest(tuned, TUNED)}")
     q, law = session.constants, position(Gains(kp), step_deg)
     target = session.on_target("fine_tuning", law, RUN_S)
-    small_steps_of_angle(session, [round(share * kp, 3) for share in SMALL_GAINS], "fine_tuning")
 
     def model(factors: np.ndarray) -> Run:
         changed = {name: getattr(q, name) * float(f) for name, f in zip(TUNED[tuned], factors, strict=True)}

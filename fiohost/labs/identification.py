@@ -245,7 +245,8 @@ def _said_by_steps(figures: Table, found: Found) -> tuple[Answer, ...]:
             f"Overshoot {mean['overshoot (%)']:.1f} %, rise {mean['rise 10-90 % (s)']:.3f} s, settling "
             f"{mean['settling 2 % (s)']:.3f} s (2 %). Overshoot and peak time say zeta = {step.value(ZETA):.3f} and "
             f"omega_n = {step.value(OMEGA):.2f} rad/s, so tau = 1/(2 zeta omega_n) = {step.value(TAU):.4f} s and "
-            f"K = omega_n/(2 zeta) = {step.value(GAIN):.2f} deg/s per % (Eq. 2.7, C(s) = {KP:g}).",
+            f"K = omega_n/(2 zeta) = {step.value(GAIN):.2f} deg/s per % "
+            f"(INC451, Eq. 2.7, C(s) = {KP:g}).",
         ),
     )
 

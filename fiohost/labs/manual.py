@@ -38,7 +38,7 @@ SHOWN_UP_TO_PCT = 30.0  # above it the angle's picture is all stripes
 RUN_UP_S, WATCH_S = 1.5, 3.0
 # Table 2.1 of the lab text, and Fig. 2.9 for motor B as this lab connects it
 WIRING = Table(
-    "Wiring: driver board to FiO Lite (table 2.1; this lab, Fig. 2.9)",
+    "Wiring: driver board to FiO Lite (INC451, table 2.1; this lab, Fig. 2.9)",
     ("signal", "driver port", "pin", "this lab"),
     (
         ("direction 1, motor A", "Da1", "C1", None),
@@ -200,7 +200,8 @@ def _speeds(forward: Branch, reverse: Branch) -> Table:
     rows = np.column_stack(
         [forward.duty_pct, forward.up_deg_s, forward.down_deg_s, reverse.up_deg_s, reverse.down_deg_s]
     )
-    return Table("Speed against duty, steps of 1 s (reverse: the duty is negative)", columns, rows.round(1).tolist())
+    title = "Speed against duty, steps of 1 s (reverse: the duty is negative)"
+    return Table(title, columns, rows.round(1).tolist(), given=())  # steps lie about the dead zone that was found
 
 
 def _modes(forward: Branch, reverse: Branch, duty_pct: float, braked: Rest, coasted: Rest) -> Table:
@@ -247,9 +248,9 @@ def _on_angle(log: Log, counts_per_rev: int) -> Answer:
 def _on_deadband(deadband: Deadband, forward: Branch, reverse: Branch) -> Answer:
     return Answer(
         "From which duty does the motor start, in each direction?",
-        f"u+ = {deadband.u_plus_pct:.2f} % (spread {deadband.spread_pct(True):.2f}), u- = {deadband.u_minus_pct:.2f} % "
-        f"(spread {deadband.spread_pct(False):.2f}), by slow ramps from rest. In the staircase it stood still up to "
-        f"{forward.last_at_rest_pct(forward.up_deg_s):g} % and turned from "
+        f"forward from u+ = {deadband.u_plus_pct:.2f} % (spread {deadband.spread_pct(True):.2f}), in reverse from "
+        f"u- = {deadband.u_minus_pct:.2f} % (spread {deadband.spread_pct(False):.2f}), by slow ramps from rest. In the "
+        f"staircase it stood still up to {forward.last_at_rest_pct(forward.up_deg_s):g} % and turned from "
         f"{forward.slowest_turning_pct(forward.up_deg_s):g} %; in reverse up to "
         f"{reverse.last_at_rest_pct(reverse.up_deg_s):g} % and from "
         f"{reverse.slowest_turning_pct(reverse.up_deg_s):g} %.",

@@ -23,7 +23,7 @@ from fiohost.transport.instruments import Instruments
 STALL_POWERS = (10.0, 20.0, 30.0, -10.0, -20.0, -30.0)  # table D-4
 MASSES_KG = (0.0, 0.067, 0.119, 0.173, 0.234, 0.293, 0.353, 0.413, 0.471, 0.532, 0.643, 0.702)  # table D-5
 LIFT_POWER = 50.0
-SPEED_POWERS = (20.0, 40.0, 60.0, 80.0, 100.0)
+SPEED_POWERS = (10.0, 20.0, 40.0, 60.0, 80.0, 100.0)  # from where Fig. D-22 begins
 HAND_NM_PER_RAD = 0.1  # soft enough for the motor's own damping, stiff enough to be at rest within seconds
 RISE_POWERS, RISE_RUN_S, RISE_TICKS = (40.0, -40.0, 30.0, -30.0), 0.2, 3  # below what a supply of 1 A would cut
 STALL_S, LIFT_S, STEP_S, ON_S, OFF_S = 2.0, 1.2, 1.5, 1.0, 4.0
@@ -145,7 +145,7 @@ def _freely(bench: Bench, lab: Instruments, power: float, supply_V: float, windi
     fit = fit_step(run, volt, winding_s)
     assert run.current_A is not None
     current = float(np.mean(run.current_A[run.time_s > run.time_s[-1] - READ_S]))
-    meter = NoLoad(volt, fit.steady_rad_s, round(current / METER_A) * METER_A)
+    meter = NoLoad(volt, fit.steady_rad_s, round(current / METER_A) * METER_A, power)
     return meter, fit.tau_s
 
 

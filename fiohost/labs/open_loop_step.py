@@ -13,7 +13,6 @@ from fiohost.labs.constants import MotorConstants
 from fiohost.labs.play import NO_LIMITS, Run, Torque
 from fiohost.labs.result import Answer, LabResult, Table
 from fiohost.labs.session import SATURATION, Session, volts
-from fiohost.labs.small import small_steps_of_voltage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,7 +90,6 @@ def open_loop_step(
                            DURATION_S) for v in levels_V]  # fmt: skip
     if animate:
         session.animate_motor("open_loop_step", trios[0][2])
-    small_steps_of_voltage(session, "step")
     fits = [[fit_step(run, v, q.winding_s) for run in trio] for v, trio in zip(levels_V, trios, strict=True)]
     rows: list[list[float | str | None]] = []
     for v, trio, found in zip(levels_V, trios, fits, strict=True):

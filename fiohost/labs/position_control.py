@@ -16,7 +16,6 @@ from fiohost.labs.play import NO_LIMITS, Run, Torque
 from fiohost.labs.printed import position_rows
 from fiohost.labs.result import Answer, Cell, LabResult, Table
 from fiohost.labs.session import SATURATION, Gains, MakeLaw, Session, position
-from fiohost.labs.small import small_steps_of_angle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +64,6 @@ def position_control(session: Session, plan: PositionPlan = PositionPlan()) -> L
     }
     if plan.animate:
         session.animate_motor("position_control", runs[plan.gains[-1]][2], to)
-    small_steps_of_angle(session, plan.gains, "position")
     tables, answers = [_proportional(session, runs, to)], [_step_16(runs, to)]
     pressed: list[tuple[Gains, Trio]] = []
     if plan.torque is not None:

@@ -41,11 +41,16 @@ Row = Mapping[str, object]
 
 @dataclass(frozen=True)
 class NoLoad:
-    """A steady speed without load; the current is None where nobody read it."""
+    """A steady speed without load; the current and the power that was asked for are None where nobody wrote them."""
 
     voltage_V: float
     speed_rad_s: float
     current_A: float | None
+    power_pct: float | None = None
+
+    def power(self, supply_V: float) -> float:
+        """The power in percent: what was asked for, or else what of the supply the winding got."""
+        return 100.0 * self.voltage_V / supply_V if self.power_pct is None else self.power_pct
 
 
 @dataclass
@@ -131,7 +136,8 @@ class Readings:
             if speed is not None and place is self.lift:
                 self.lift_speed.append((*lifted, speed))
         elif kind == "no_load":
-            self.no_load.append(NoLoad(_voltage(cells), cells.need("speed_rad_s"), cells.number("current_A")))
+            numbers = cells.need("speed_rad_s"), cells.number("current_A"), cells.number("power_pct")
+            self.no_load.append(NoLoad(_voltage(cells), *numbers))
         elif kind == "time_constant":
             self.time_constants_s.append(cells.need("time_s", above=0.0))
         elif kind == "rise":
@@ -158,8 +164,8 @@ class Readings:
         for kind, keys, values, stalled in (
             ("stall", ("voltage_V", "current_A"), self.stall, []),
             ("lift", ("torque_Nm", "current_A", "speed_rad_s"), self.lift_speed or self.lift, self.lift_stalled),
-            ("no_load", ("voltage_V", "speed_rad_s", "current_A"),
-             [(r.voltage_V, r.speed_rad_s, r.current_A) for r in self.no_load], []),
+            ("no_load", ("voltage_V", "speed_rad_s", "current_A", "power_pct"),
+             [(r.voltage_V, r.speed_rad_s, r.current_A, r.power_pct) for r in self.no_load], []),
             ("time_constant", ("time_s",), [(t,) for t in self.time_constants_s], []),
             ("run_down", ("time_s", "from_rad_s"), self.run_down, []),
             ("rise", ("voltage_V", "time_s", "current_A"), self.rise, []),

@@ -22,6 +22,7 @@ from fiohost.labs.readings import Readings
 
 DRAWS = 4000
 ITERATIONS = 50
+ROUNDING = 1e-9  # of an interval: a value that is smaller is that of floating point
 LEAST_LINE = 3  # points of a straight line that shall have a spread
 UNITS = {"La": "H", "Ra": "ohm", "Ki": "N m/A", "Kb": "V s/rad", "B": "N m s", "Tc": "N m", "tau_m": "s", "J": "kg m2"}
 
@@ -164,11 +165,12 @@ def solve(readings: Readings) -> tuple[dict[str, Constant], Lines]:
 
 
 def _constant(name: str, values: np.ndarray, spare: int, n: int) -> Constant:
-    """The first value is the estimate, the others are draws."""
+    """The first value is the estimate, the others are draws. What is zero but for rounding is 0."""
     if spare <= 0:
         return Constant(name, float(values[0]), None, None, n)
     low, high = np.quantile(values[1:], (0.025, 0.975))
-    return Constant(name, float(values[0]), float(low), float(high), n)
+    value = float(values[0])
+    return Constant(name, value if abs(value) > ROUNDING * (high - low) else 0.0, float(low), float(high), n)
 
 
 def constants_of(found: Mapping[str, Constant], readings: Readings, L_H: float | None = None) -> MotorConstants:

@@ -63,7 +63,7 @@ class Panel:
         # since when each has had a frame that it has not painted; the first is the one that drives
         self.browsers: dict[Browser, float | None] = {}
         self._history: deque[Reading] = deque(maxlen=HISTORY)
-        self._remote, self._away_s = remote, away_s
+        self._remote, self.away_s = remote, away_s
         self._alone_since_s: float | None = None  # None: somebody is there, or all that is due to that was done
         self._was_braked = False  # because the one that drives paints nothing
 
@@ -84,7 +84,7 @@ class Panel:
         if drove:
             self._was_braked = False
             self._alone_since_s = time.monotonic()
-            if self.browsers and self._away_s is not None:
+            if self.browsers and self.away_s is not None:
                 self._remote.act("brake", why="the browser that drove has left: braked")
         self._tell_roles()
 
@@ -113,7 +113,7 @@ class Panel:
 
     def _dead_man(self, now_s: float) -> None:
         """Brake where the browser that drives is gone or paints nothing."""
-        away_s, alone_s = self._away_s, self._alone_since_s
+        away_s, alone_s = self.away_s, self._alone_since_s
         if away_s is None:
             return
         if not self.browsers:
@@ -285,10 +285,11 @@ async def _serve(remote: Remote, panel: Panel, bind: str, port: int) -> None:
         ("/socket", Browser, {"panel": panel, "door": door}),
         ("/([a-z]+[.][a-z]+)?", Page, {"door": door}),
     ]
+    ping_s = max(PING_S, panel.away_s or 0.0)  # one that may be away for longer is not cut off sooner
     application = tornado.web.Application(
         pages,
-        websocket_ping_interval=PING_S,
-        websocket_ping_timeout=PING_S,
+        websocket_ping_interval=ping_s,
+        websocket_ping_timeout=ping_s,
         websocket_max_message_size=MAX_MESSAGE_BYTES,
         log_function=lambda handler: None,
     )

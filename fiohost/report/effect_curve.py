@@ -17,6 +17,7 @@ from fiohost.discover.missing_torque import bench_angle, missing_torque
 from fiohost.estimation.record import ANGLE
 from fiohost.motor.effect import Effect, effect
 from fiohost.motor.model import Model
+from fiohost.report.physical import spoken
 from fiohost.report.series import Array, CurvePlot
 from fiohost.report.words import effect_words, number
 
@@ -33,6 +34,7 @@ MOVES = 1e-9  # a torque that changes by less follows nothing
 SPEED_SHARE = 0.02  # of the top speed: below it the direction is a matter of rounding
 ANGLE_LABEL = "shaft angle on the turn (deg)"
 TORQUE_LABEL = "torque, + helps forward motion (% of duty)"
+READING_LABEL = "reading - angle of the shaft (deg)"
 LOAD_LABEL = "load torque, + opposes forward motion (% of duty)"
 Torque = Callable[[float, float], float]
 
@@ -58,11 +60,17 @@ def equation_words(item: Effect, parameters: Mapping[str, Any]) -> str:
     if not named:
         return text
     pattern = "|".join(rf"\b{re.escape(name)}\b" for name in sorted(named, key=len, reverse=True))
-    return re.sub(pattern, lambda match: named[match[0]], text)
+    filled = re.sub(pattern, lambda match: named[match[0]], text)
+    if filled != text:
+        return filled
+    own = [p.name for p in item.parameters if p.name in named]  # those of a sum stand in no equation
+    return f"{text}, with " + ", ".join(f"{spoken(name)} {named[name].strip('()')}" for name in own)
 
 
 def effect_curves(found: Diagnosis) -> list[CurvePlot]:
-    """One picture for each found effect that is a torque over angle or speed, or a map of the duty; in their order."""
+    """One picture for each found effect that is a torque over angle or speed, a map of the duty, or an error of the
+    sensor over the turn; in their order.
+    """
     model = found.final.fit.model
     pictures = []
     for step in found.steps:
@@ -77,6 +85,8 @@ def _picture(found: Diagnosis, model: Model, item: Effect) -> CurvePlot | None:
     title = equation_words(item, told)
     if item.command is not None:
         return _command_picture(found, model, item, title)
+    if item.measure is not None and item.angle_bound:
+        return _reading_picture(found, model, item, title)
     if item.rate is not None or item.bristle is not None or item.moment is not None:
         return None  # has a past: no curve holds it
     if item.torque is None and item.load is None and item.friction is None:
@@ -140,6 +150,31 @@ def _command_picture(found: Diagnosis, model: Model, item: Effect, title: str) -
         title, "commanded duty (%)", "duty that acts - commanded (%)", grid,
         {effect_words(item.name): np.array([lost(d) for d in grid])}, points={"data": points}, equation=title,
         found=True,
+    )  # fmt: skip
+
+
+def _reading_picture(found: Diagnosis, model: Model, item: Effect, title: str) -> CurvePlot | None:
+    """An error of the sensor over the turn: the effect's own, with what the final model leaves of the reading."""
+    hook, q = item.measure, _codes(model, item)
+    assert hook is not None
+
+    def error(theta: float) -> float:
+        return float(hook(theta, q)) - theta
+
+    pieces = []
+    for record, judgement in zip(found.train, found.final.judgements, strict=True):
+        angle = bench_angle(record, judgement)
+        if angle is not None:
+            pieces.append((angle, judgement.free_residual))
+    if not pieces:
+        return None
+    angle, left = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    pick = slice(None, None, max(1, len(angle) // MOST_SAMPLES))
+    shown = np.array([error(a) for a in angle[pick]]) + left[pick]
+    grid = np.linspace(0.0, 360.0, GRID)
+    return CurvePlot(
+        title, ANGLE_LABEL, READING_LABEL, grid, {effect_words(item.name): np.array([error(a) for a in grid])},
+        points={"data": _means(angle[pick], shown, np.linspace(0.0, 360.0, BINS + 1))}, equation=title, found=True,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fiohost.report.log_series import LogSeries, spectrum_of
-from fiohost.report.plots import BEFORE, GREY, LINE_CYCLE, MEASURED, STYLE, canvas, thin
+from fiohost.report.plots import BEFORE, GREY, LINE_CYCLE, MEASURED, PIECES, STYLE, band, canvas, thin
 from fiohost.report.series import Array
 from fiohost.report.words import number
 
@@ -45,7 +45,9 @@ def plot_logs(series: Sequence[LogSeries], title: str, lines: Sequence[str] = ()
         if panel == "output" and (len(handles) > 1 or len(series) > 1):
             axes.legend(loc="best", fontsize=8)
         elif panel == "error":
-            axes.legend(loc="upper right", fontsize=8)
+            axes.legend(
+                loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=min(len(handles), 4), borderpad=0.1
+            )
     grid[-1].set_xlabel("time (s)")
     if shown:
         figure.text(0.012, 0.004, "\n".join(shown), fontsize=8, va="bottom", ha="left", linespacing=1.35)
@@ -115,7 +117,7 @@ def _panel(axes: Axes, panel: str, one: LogSeries, colour: str, several: bool) -
         axes.set_ylabel(f"{one.quantity} ({one.unit})")
     elif panel == "error" and one.simulated is not None:
         label = f"{one.name + ': ' if several else ''}{number(one.error_rms, 3)} {one.unit} rms"
-        _draw(axes, one.time_s, one.output - one.simulated, BEFORE if not several else colour, label)
+        _draw_error(axes, one.time_s, one.output - one.simulated, BEFORE if not several else colour, label)
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         axes.set_ylabel(f"measured -\nsimulated ({one.unit})")
     elif panel == "speed" and one.speed is not None:
@@ -138,6 +140,16 @@ def label_of(column: str) -> str:
 def _draw(axes: Axes, time_s: Array, values: Array, colour: str, label: str) -> None:
     at = thin(time_s, values)
     axes.plot(time_s[at], values[at], color=colour, linewidth=1.2, label=label)
+
+
+def _draw_error(axes: Axes, time_s: Array, error: Array, colour: str, label: str) -> None:
+    """A long one as its mean in a band from the least to the greatest: as a line it would be a block."""
+    if len(error) <= PIECES:
+        _draw(axes, time_s, error, colour, label)
+        return
+    at_s, low, mean, high = band(time_s, error)
+    axes.fill_between(at_s, low, high, color=colour, alpha=0.28, linewidth=0, label="least to greatest")
+    axes.plot(at_s, mean, color=colour, linewidth=1.1, label=f"mean, {label}")
 
 
 def _colour(place: int, many: int) -> str:

@@ -30,6 +30,15 @@ def upcoming_sentence(diagnosis: Mapping[str, Any]) -> str:
     return f"{why[0].upper()}{why[1:]}." if why else ""
 
 
+def upcoming_words(diagnosis: Mapping[str, Any]) -> str:
+    """The command of the next experiment, or what it is in words; empty where there is none."""
+    upcoming = diagnosis.get("next_experiment")
+    if not upcoming:
+        return ""
+    name = str(upcoming.get("experiment"))
+    return name if upcoming.get("in_words") else f"fiohost run {name}"
+
+
 def empirical_sentence(diagnosis: Mapping[str, Any]) -> str:
     """What the empirical term says; empty where there is none."""
     term = (diagnosis.get("residual") or {}).get("empirical")
@@ -124,10 +133,9 @@ def print_outlook(console: Console, diagnosis: Mapping[str, Any]) -> None:
             table.add_row(*(Text(cell) for cell in row))
         console.print(table)
         console.print()
-    upcoming, why = diagnosis.get("next_experiment"), upcoming_sentence(diagnosis)
-    if upcoming:
-        what = upcoming.get("experiment") if upcoming.get("in_words") else f"fiohost run {upcoming.get('experiment')}"
-        console.print(Text.assemble(("Next experiment: ", "bold"), str(what)))
+    what, why = upcoming_words(diagnosis), upcoming_sentence(diagnosis)
+    if what:
+        console.print(Text.assemble(("Next experiment: ", "bold"), what))
         console.print(Padding(Text(why), (0, 0, 0, 2)))
     elif why:
         console.print(Text(why))

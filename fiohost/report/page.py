@@ -21,6 +21,7 @@ from fiohost.report.outlook import (
     extrapolation_sentences,
     limit_rows,
     upcoming_sentence,
+    upcoming_words,
 )
 from fiohost.report.physical import headline, size_rows, spoken, unit_words
 from fiohost.report.plots import (
@@ -136,6 +137,7 @@ def render(
         interval=words.interval,
         remark=words.remark,
         steps=steps,
+        rivals=lambda step: words.rivals_of(diagnosis, step),
         chosen=chosen,
         candidates=candidates,
         outcomes=_outcomes(candidates, chosen),
@@ -145,6 +147,7 @@ def render(
         tests=_tests(diagnosis),
         upcoming=upcoming,
         upcoming_sentence=upcoming_sentence(diagnosis),
+        upcoming_words=upcoming_words(diagnosis),
         empirical=" ".join(
             text
             for text in (empirical_sentence(diagnosis), curves_sentence(diagnosis), *extrapolation_sentences(diagnosis))
@@ -209,7 +212,9 @@ def _value(value: Any) -> str:
 def _seal(seal: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """The opened seal: sentences, true against found parameters, and constants."""
     sentences = [f"Seed {seal['seed']}."] if "seed" in seal else []
-    sentences += [f"{str(text)[0].upper()}{str(text)[1:]}." for text in seal.get("truth") or [] if text]
+    sentences += [
+        f"{str(text)[0].upper()}{str(text)[1:]}.".replace("_", " ") for text in seal.get("truth") or [] if text
+    ]
     compared = []
     for effect, told in (seal.get("reduced") or {}).items():
         for key, value in told.items():
@@ -217,7 +222,7 @@ def _seal(seal: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
             compared.append(
                 {
                     "name": f"{words.effect_words(effect)}, {spoken(key)}",
-                    "true": _value(value),
+                    "true": _value(_same_turn(value, key, known.get("value"))),
                     "found": _value(known.get("value")),
                     "interval": words.interval(known),
                     "unit": unit_words(str(known.get("unit") or "")),
@@ -226,6 +231,13 @@ def _seal(seal: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     told_already = ("seed", "truth", "reduced", "effects" if seal.get("truth") else "")
     rest = flatten({key: value for key, value in seal.items() if key not in told_already})
     return {"sentences": sentences, "compared": compared, "rest": rest}
+
+
+def _same_turn(true: Any, parameter: str, found: Any) -> Any:
+    """A phase on the turn on which it was found: 206.6 and -153.4 degrees are one."""
+    if "phase" not in parameter or not all(isinstance(value, (int, float)) for value in (true, found)):
+        return true
+    return true + 360.0 * round((found - true) / 360.0)
 
 
 def confirm_sentence(confirm: Mapping[str, Any], unit: str) -> str:

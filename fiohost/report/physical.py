@@ -115,10 +115,19 @@ def with_interval(bounds: str, unit: str) -> str:
 
 def spoken(parameter: str) -> str:
     """``level`` for ``level_pct``: the unit stands beside the number."""
-    for tail in ("_pct", "_deg_s_per_pct", "_deg_s", "_deg", "_hz", "_us", "_s"):
+    for tail in ("_deg_s_per_pct", "_pct", "_deg_s", "_deg", "_hz", "_us", "_s"):
         if parameter.endswith(tail):
             return effect_words(parameter.removesuffix(tail))
     return effect_words(parameter)
+
+
+def _strength(told: Mapping[str, Any]) -> str | None:
+    """The parameter that says how large an effect is; of several of one kind, as levels of orders, the largest."""
+    for kind in STRENGTHS:
+        keys = [k for k in told if k.startswith(kind) and isinstance(told[k].get("value"), (int, float))]
+        if keys:
+            return max(keys, key=lambda k: abs(float(told[k]["value"])))
+    return next(iter(told), None)
 
 
 def headline(diagnosis: Mapping[str, Any]) -> str:
@@ -127,7 +136,7 @@ def headline(diagnosis: Mapping[str, Any]) -> str:
     parts = []
     for step in diagnosis.get("steps") or []:
         name, told = str(step.get("effect")), step.get("parameters") or {}
-        key = next((k for s in STRENGTHS for k in told if k.startswith(s)), next(iter(told), None))
+        key = _strength(told)
         if key is None or isinstance(told[key].get("value"), str):
             continue
         value, unit = told[key].get("value"), str(told[key].get("unit") or "")

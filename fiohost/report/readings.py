@@ -15,7 +15,7 @@ from rich.text import Text
 
 from fiohost.report.series import CurvePlot
 from fiohost.report.tables import FILE_WIDTH, VERDICT_STYLE, candidate_table, new_table, parameter_table
-from fiohost.report.words import error_of, listed, number, with_rivals
+from fiohost.report.words import error_of, found_words, listed, number
 
 FIGURES = {
     "overshoot_pct": "overshoot",
@@ -38,7 +38,7 @@ def readings_sentence(diagnosis: Mapping[str, Any]) -> str:
     declared = str((diagnosis.get("declared") or {}).get("model", "the declared model"))
     if verdict == "cannot_be_judged":
         return f"Cannot be judged: {diagnosis.get('why')}."
-    found = [with_rivals(step) for step in diagnosis.get("steps") or []]
+    found = found_words(diagnosis)
     before, after = (number(error_of(diagnosis.get(k), "train"), 3) for k in ("before", "after"))
     limit = number(error_of(diagnosis.get("floor"), "train", "limit_rms"), 3)
     level = f"chance leaves up to {limit} times the floor"

@@ -17,13 +17,13 @@ from fiohost.report.outlook import print_outlook
 from fiohost.report.preliminary import print_preliminary
 from fiohost.report.words import (
     ROLE_WORDS,
-    effect_words,
     error_of,
     interval,
     listed,
     number,
     own_start_sentence,
     remark,
+    rivals_of,
     roles_of,
     share,
     verdict_sentence,
@@ -137,7 +137,7 @@ def candidate_table(diagnosis: Mapping[str, Any]) -> Table:
         name = str(candidate.get("effect"))
         reason = str(candidate.get("rejected_because") or "")
         if name in chosen:
-            rivals = [effect_words(str(r)) for r in chosen[name].get("indistinguishable_from") or []]
+            rivals = rivals_of(diagnosis, chosen[name])
             reason = "chosen" + (f"; these data cannot tell it from {listed(rivals, 'or')}" if rivals else "")
         table.add_row(Text(name), share(candidate.get("score")), Text(reason))
     return table

@@ -125,7 +125,7 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     """The result in one or two sentences that stand alone."""
     verdict = diagnosis.get("verdict")
     declared = str((diagnosis.get("declared") or {}).get("model", "the declared model"))
-    found = [with_rivals(step) for step in diagnosis.get("steps") or []]
+    found = found_words(diagnosis)
     change = _change(diagnosis)
     rest = follows(diagnosis)
     more = bool(diagnosis.get("holdout_not_followed"))
@@ -148,7 +148,16 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
             f"Partly explained: adding {listed(found)} helped, but structure remains.{much} {change} "
             f"Unexplained: {remains}."
         )
-    return f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}.{_level(diagnosis, ' ')}"
+    small = " It is no larger than the floor, but it is not random." if _is_small(diagnosis) else ""
+    said = f"Unexplained: {declared} lacks something that no candidate accounts for; {remains}."
+    return f"{said}{_level(diagnosis, ' ')}{small}"
+
+
+def _is_small(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether no more is left than the floor, though it is no noise."""
+    error, floor = (error_of(diagnosis.get(key), judged(diagnosis)) for key in ("after", "floor"))
+    white = (diagnosis.get("residual") or {}).get("white")
+    return white is False and error is not None and floor is not None and error <= floor
 
 
 def _noise(diagnosis: Mapping[str, Any]) -> str:
@@ -193,10 +202,19 @@ def own_start_sentence(diagnosis: Mapping[str, Any]) -> str:
     )
 
 
-def with_rivals(step: Mapping[str, Any]) -> str:
-    rivals = [effect_words(str(name)) for name in step.get("indistinguishable_from") or []]
-    name = effect_words(str(step.get("effect", "?")))
-    return f"{name} (these data cannot tell it from {listed(rivals, 'or')})" if rivals else name
+def found_words(diagnosis: Mapping[str, Any]) -> list[str]:
+    """The effects that were found, each with those that explain as much in its place."""
+    found = []
+    for step in diagnosis.get("steps") or []:
+        rivals, name = rivals_of(diagnosis, step), effect_words(str(step.get("effect", "?")))
+        found.append(f"{name} (these data cannot tell it from {listed(rivals, 'or')})" if rivals else name)
+    return found
+
+
+def rivals_of(diagnosis: Mapping[str, Any], step: Mapping[str, Any]) -> list[str]:
+    """What explains as much in the place of an effect; not what was found beside it: of those the data need both."""
+    both = {other.get("effect") for other in diagnosis.get("steps") or []}
+    return [effect_words(str(name)) for name in step.get("indistinguishable_from") or [] if name not in both]
 
 
 def _level(diagnosis: Mapping[str, Any], lead: str = ", ") -> str:

@@ -14,7 +14,10 @@ from fiohost.cli.progress import progress
 from fiohost.files import claim
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from fiohost.labs.readings import Readings
+    from fiohost.labs.result import LabResult
 
 
 @click.command()
@@ -28,6 +31,13 @@ if TYPE_CHECKING:
 @click.option("--inductance", metavar="H", help="Of the winding, by a meter; without, it is measured.")
 @click.option("--supply", metavar="V", help="Armature voltage at full power, where readings do not say (4.5).")
 @click.option("--save", "save_to", metavar="F", help="Write the constants for --constants of the other experiments.")
+@click.option(
+    "--diagnose/--no-diagnose",
+    "name_it",
+    default=True,
+    show_default=True,
+    help="At the end, name what a model without dry friction lacks beside the board.",
+)
 @result_options
 def characterise(
     readings_from: str | None,
@@ -37,6 +47,7 @@ def characterise(
     inductance: str | None,
     supply: str | None,
     save_to: str | None,
+    name_it: bool,
     report: str | None,
     json_to: str | None,
 ) -> None:
@@ -63,26 +74,45 @@ def characterise(
         readings = Readings.load(Path(readings_from), port)
         if full_V is not None:
             readings.supply_V = full_V
-        name = readings_from
+        result = evaluate(readings, L_H, readings_from)
     else:
-        readings = _measured(target, seed, port, L_H, full_V)
+        with progress() as doing:
+            readings, result = _measured(target, seed, port, L_H, full_V, folder if name_it else None, doing)
         readings.write(folder / "readings.toml")
-        name = target
         out(f"readings: {folder / 'readings.toml'}")
-    result = evaluate(readings, L_H, name)
     if save_to is not None:
         constants_of(solve(readings)[0], readings, L_H).write(Path(save_to))
         out(f"constants: {save_to}")
     present(result, out, folder)
 
 
-def _measured(target: str, seed: str | None, port: str, L_H: float | None, full_V: float | None) -> Readings:
-    """Readings by the virtual meters of a simulated board."""
+def _measured(
+    target: str,
+    seed: str | None,
+    port: str,
+    L_H: float | None,
+    full_V: float | None,
+    folder: Path | None,
+    doing: Callable[[str], None],
+) -> tuple[Readings, LabResult]:
+    """Readings by the virtual meters of a simulated board and what they give; with a folder, also what is missing."""
     from fiohost.bench.connect import connect
+    from fiohost.labs.characterise import characterise as evaluate
+    from fiohost.labs.characterise import viscous_only
     from fiohost.labs.constants import TEXT
+    from fiohost.labs.difference import with_difference
     from fiohost.labs.measure import measure
     from fiohost.labs.play import target_volts
+    from fiohost.labs.session import Session
+    from fiohost.labs.small import with_small_steps
 
-    with progress() as doing, connect(target, seed=parse_seed(seed)) as bench:
+    with connect(target, seed=parse_seed(seed)) as bench:
         doing(f"meters at {target}: stalled, lifting, running free, running down")
-        return measure(bench, port, L_H, full_V if full_V is not None else target_volts(bench, TEXT["no_load"]))
+        readings = measure(bench, port, L_H, full_V if full_V is not None else target_volts(bench, TEXT["no_load"]))
+        result = evaluate(readings, L_H, target)
+        if folder is not None:
+            session = Session(viscous_only(readings, L_H), bench, folder, said=doing)
+            result, model, limited = with_small_steps(session, result)
+    if folder is not None:
+        result = with_difference(result, model, doing, limited=limited)
+    return readings, result

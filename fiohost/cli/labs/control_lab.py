@@ -78,8 +78,10 @@ def _do(options: dict[str, Any], experiment: Callable[[Session], LabResult]) -> 
             target, options["constants"], folder, seed=seed, saturation=options["saturation"], said=doing
         ) as session:
             result = experiment(session)
-            model, amperes = session.constants.model(), session.bench_limits.amperes
-            limited = None if amperes is None else session.constants.model(current_limit_A=amperes)
+            if options["name_it"]:
+                from fiohost.labs.small import with_small_steps
+
+                result, model, limited = with_small_steps(session, result)
         if options["name_it"]:
             from fiohost.labs.difference import with_difference
 
