@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class Logs(Evidence[Stage]):
         super().__init__(rng)
         self.train = train
         self.records, self.groups = folds(train)
-        self._own: dict[int, tuple[State, np.ndarray]] = {}
+        self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
 
     @property
     def few(self) -> bool:
@@ -81,10 +82,9 @@ class Logs(Evidence[Stage]):
         return self.settled(again(state.fit, state.fit.model.without([name]), state.records))
 
     def gain(self, before: State, after: State) -> Gain:
-        if id(after) not in self._own:
-            self._own[id(after)] = after, self._left_out(after.fit, after)
-        without = self._left_out(self.under(before, after), after)
-        return Gain.of(without, self._own[id(after)][1], self.settings)
+        if after not in self._own:
+            self._own[after] = self._left_out(after.fit, after)
+        return Gain.of(self._left_out(self.under(before, after), after), self._own[after], self.settings)
 
     def _left_out(self, fitted: Fit, under: State) -> np.ndarray:
         """Deviance of left-out blocks of a fit, under the noise that a state leaves."""
@@ -162,8 +162,8 @@ class Windows(Logs):
         # Restricted likelihoods compare only where the same is projected off: the shaft stands where the first says.
         self._moving: tuple[np.ndarray, ...] | None = None
         self.plain = plain(self.records)
-        self._plainly: dict[int, tuple[State, Fit]] = {}
-        self._white: dict[int, tuple[State, bool]] = {}
+        self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
+        self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
 
     @property
     def margin(self) -> float:
@@ -200,11 +200,11 @@ class Windows(Logs):
 
     def as_they_are(self, state: State) -> Fit:
         """A state's model fitted to windows as they are."""
-        if id(state) not in self._plainly:
+        if state not in self._as_they_are:
             near = state.bare or state.fit
             found = fit(near.model, self.plain, windows=True, starts=near.starts, max_iterations=20, tolerance=1e-4)
-            self._plainly[id(state)] = state, found
-        return self._plainly[id(state)][1]
+            self._as_they_are[state] = found
+        return self._as_they_are[state]
 
     def taken(self, before: State, after: State) -> float:
         """The share of the squared error of windows as they are that one state takes of another's."""
@@ -236,9 +236,9 @@ class Windows(Logs):
     def white(self, state: State) -> bool:
         if state.noise is None or state.noise.torque_pct.value > self.most_torque_pct:
             return False
-        if id(state) not in self._white:
-            self._white[id(state)] = state, self._looks_white(state)
-        return self._white[id(state)][1]
+        if state not in self._white:
+            self._white[state] = self._looks_white(state)
+        return self._white[state]
 
     def _looks_white(self, state: State) -> bool:
         null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
