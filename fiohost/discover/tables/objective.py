@@ -112,7 +112,7 @@ class Readings(Evidence[TableStage]):
         return at_floor or state is best or not self.gain(state, best).sure(self.settings)
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
-        fitted, name = self.fitted(state), names[0]
+        fitted, name = self.fitted(state), names[0]  # those before it were asked about when they were added
         if not self.can_be_left_out(fitted):
             return "its parameters are more than the rows can settle when one of them is left out"
         replicas = [refitted(fitted, self.rows.noise(self.rng)) for _ in range(self.settings.floor.replicas)]
