@@ -12,7 +12,7 @@ from math import isnan
 from fiohost.motor.compiled import inlined, part, sign
 from fiohost.motor.electrics import simple_winding
 from fiohost.motor.events import LOOKS, SURE_S
-from fiohost.motor.flow import one_body, time_to_rest
+from fiohost.motor.flow import SAME_TIME_S, one_body, time_to_rest
 from fiohost.motor.hooks import (
     NO_BRISTLE,
     any_of,
@@ -153,7 +153,7 @@ def slide(x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore
         mode = STANDBY
     emf, theta, omega, amps, left = mode != STANDBY, x[THETA], x[OMEGA], x[CURRENT], span
     for k in range(MOST_STEPS):
-        if left <= 0.0:
+        if left <= SAME_TIME_S:
             break
         h = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
         push, volts, force, level, direction, bristled, slack = _acting(

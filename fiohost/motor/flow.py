@@ -179,21 +179,25 @@ def two_bodies(  # type: ignore[no-untyped-def]
         or m[dt_at + 4] != ohms
     ):
         m[dt_at], m[dt_at + 1], m[dt_at + 2], m[dt_at + 3], m[dt_at + 4] = dt, kind + 1.0, own, lag, ohms
-        a = MATRIX
+        a, rate = MATRIX, sqrt(stiff / own + stiff / other)  # the twist by its own frequency: as large as a speed
         for i in range(SQUARE):
             x[a + i] = 0.0
         if not held:
-            x[a], x[a + 2], x[a + 3] = -damp / own, -stiff / own, damp / own
+            x[a], x[a + 2], x[a + 3] = -damp / own, -stiff / own / rate, damp / own
             if lagged:
                 x[a + 1] = 1.0 / own
             elif emf:
                 x[a] -= 1.0 / (gain * own)
         if lagged:
             x[a + 4], x[a + 5] = -1.0 / (gain * lag), -ohms / lag
-        x[a + 8], x[a + 11] = 1.0, -1.0
+        x[a + 8], x[a + 11] = rate, -rate
         if not load_held:
-            x[a + 12], x[a + 14], x[a + 15] = damp / other, stiff / other, -damp / other
+            x[a + 12], x[a + 14], x[a + 15] = damp / other, stiff / other / rate, -damp / other
         _propagate(x, at, dt)
+        for i in range(0, 3 * SQUARE, SQUARE):
+            for j in range(N):
+                m[i + N * j + 2] *= rate
+                m[i + 2 * N + j] /= rate
     b0 = 0.0 if held else (force if lagged else force + volts) / own
     b1 = volts / lag if lagged else 0.0
     b3 = 0.0 if load_held else load / other

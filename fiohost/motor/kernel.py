@@ -20,6 +20,7 @@ from fiohost.motor.body import asked, glide, is_steady, slide
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
+from fiohost.motor.flow import SAME_TIME_S
 from fiohost.motor.hooks import (
     PERIOD,
     bristles,
@@ -78,7 +79,7 @@ def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
                     until = max(acts, now)
                 if change < until:
                     until, changes = change, False
-                if until > now:
+                if until - now > SAME_TIME_S:  # rounding alone is no span
                     if steady:
                         advance(x, volts, mode, until - now, force, has)
                     elif body:

@@ -30,7 +30,7 @@ from fiohost.motor.events import (
     locate,
     strain_of,
 )
-from fiohost.motor.flow import flow, flow_again
+from fiohost.motor.flow import SAME_TIME_S, flow, flow_again
 from fiohost.motor.hooks import (
     NO_BRISTLE,
     barred,
@@ -79,7 +79,7 @@ def stepper(two: bool, more: bool, special: bool) -> Any:
         lossy = special and loses(mode, p, on)
         left, released = span, False
         for k in range(MOST_STEPS):
-            if left <= 0.0:
+            if left <= SAME_TIME_S:
                 break
             theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
             joined, sprung, load_omega, load_at, twist = True, False, omega, theta, 0.0
