@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -55,12 +56,25 @@ def searched(
     say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
     windows = Windows(train, np.random.default_rng(NOISE_SEED))
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
-    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct)
+    near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
+
+    def as_whole_runs(node: Node) -> Node:
+        """What windows led to, fitted to whole runs."""
+        if node not in near:
+            fitted = fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
+            near[node] = Node(runs.settled(fitted), node.added)
+        return near[node]
+
+    def enough(node: Node) -> bool:
+        return exact and whole.explains(as_whole_runs(node))
+
+    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
     if exact and (seen.added or runs.few):  # else they have been asked from there
-        near = fit(seen.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
-        again = Node(runs.finished(runs.settled(near)), seen.added)
+        again = as_whole_runs(seen)
+        if not whole.explains(again):
+            again = Node(runs.finished(again.state), seen.added)
         again = again if whole.explains(again) else whole.run(again)
         if whole.explains(again):
             return whole.found(root, again)

@@ -92,11 +92,13 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     def some(model: Model, iterations: int) -> Fit:
         return again(base, model, records, iterations, 1e-2)
 
-    if not base.windows or len(models) == 1:
+    # Windows are nearly convex: after one step the best start is known. Whole runs are not: two go on after two.
+    first, most = (1, 1) if base.windows else (2, 2)
+    if len(models) <= most:
         return min((some(m, 5) for m in models), key=lambda f: f.cost)
-    # Windows are nearly convex: after one step the best start is known.
-    ahead = min((some(m, 1) for m in models), key=lambda f: f.cost)
-    return min(ahead, again(ahead, ahead.model, records, 4, 1e-2), key=lambda f: f.cost)
+    ahead = sorted((some(m, first) for m in models), key=lambda f: f.cost)[:most]
+    further = [again(f, f.model, records, 5 - first, 1e-2) for f in ahead]
+    return min((*ahead, *further), key=lambda f: f.cost)
 
 
 def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
@@ -119,11 +121,15 @@ def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     return min((attempt(t) for t in trials), key=lambda f: f.cost)
 
 
-def full_fit(rough: Fit, effect: Effect, records: Sequence[Record], far_rms: float = np.inf) -> Fit:
-    """A rough fit carried to its minimum, along the effect's ragged parameters and through its choices too; of windows,
-    as near to it as their tangent leads (``finished``). What stays beyond ``far_rms`` is not searched finely.
+def carried_on(rough: Fit, records: Sequence[Record]) -> Fit:
+    """A rough fit carried downhill to its minimum; of windows, as near to it as their tangent leads (``finished``)."""
+    return again(rough, rough.model, records, 25, OPTIMISER.near_enough if rough.windows else 1e-6)
+
+
+def thorough_fit(direct: Fit, effect: Effect, records: Sequence[Record], far_rms: float = np.inf) -> Fit:
+    """A fit at its minimum searched along the effect's ragged parameters and through its choices too; what stays
+    beyond ``far_rms`` is not searched finely.
     """
-    direct = again(rough, rough.model, records, 25, OPTIMISER.near_enough if rough.windows else 1e-6)
     if direct.windows and effect.once:
         return direct  # its moment and what changed were looked for in all windows
     best = _thoroughly(direct, effect, records, far_rms)
@@ -285,10 +291,11 @@ def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> 
 
 
 def _begun_around(found: Fit, name: str, records: Sequence[Record]) -> Fit:
-    """The best of fits begun with one parameter moved."""
+    """The best of fits begun with one parameter moved: a few steps from each, the best few carried on."""
     parameter, value = found.model.parameter(name), found.model.number(name)
     points = [float(np.clip(k * value, parameter.lower, parameter.upper)) for k in OPTIMISER.around]
     models = [found.model.with_values({name: v}) for v in dict.fromkeys(points)]
-    rough = each(lambda m: again(found, m, records, 6, 1e-2), models)
-    best = min(rough, key=lambda f: f.cost)
+    rough = sorted(each(lambda m: again(found, m, records, 2, 1e-2), models), key=lambda f: f.cost)
+    near = each(lambda f: again(f, f.model, records, 4, 1e-2), rough[: OPTIMISER.nudges])
+    best = min(near, key=lambda f: f.cost)
     return min(found, again(best, best.model, records, 25, 1e-7), key=lambda f: f.cost)

@@ -13,7 +13,7 @@ from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
-from fiohost.discover.optimise import cost_of, fit_anew, full_fit, rough_fit
+from fiohost.discover.optimise import OPTIMISER, carried_on, cost_of, fit_anew, rough_fit, thorough_fit
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.discover.workers import each
@@ -89,9 +89,20 @@ class LogsBeside:
                 return []
         kept = self.finalists(jobs, rough)
         finals = [i for ways in kept for i in ways]
-        far = s.lost * floor
-        carried = each(lambda i: full_fit(rough[i], jobs[i].score.effect, jobs[i].records, far), finals)
-        fits = dict(zip(finals, carried, strict=True))
+        carried = each(lambda i: carried_on(rough[i], jobs[i].records), finals)
+        ahead = {id(jobs[i].records): np.inf for i in finals}
+        for i, found in zip(finals, carried, strict=True):
+            # Of two the worse may still come first by a threshold or a choice, but not beside one at the floor.
+            room = OPTIMISER.another_choice if found.rms <= s.finished * floor else s.hopeless
+            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], room * found.cost)
+
+        def thorough(one: tuple[int, Fit]) -> Fit:
+            i, found = one
+            if found.cost > ahead[id(jobs[i].records)]:
+                return found
+            return thorough_fit(found, jobs[i].score.effect, jobs[i].records, s.lost * floor)
+
+        fits = dict(zip(finals, each(thorough, list(zip(finals, carried, strict=True))), strict=True))
 
         def settled(i: int) -> State:
             return self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)

@@ -8,7 +8,7 @@ another gives way by them. What is measured, and how, only the evidence knows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -99,12 +99,21 @@ Ranked = TypeVar("Ranked", Node, Child)
 
 
 class Search(Generic[J]):
-    """One search over one evidence; ``tolerance_pct`` is the share of the motion that does not matter."""
+    """One search over one evidence; ``tolerance_pct`` is the share of the motion that does not matter, ``enough`` says
+    of a node whether other evidence is explained by it.
+    """
 
     def __init__(
-        self, evidence: Evidence[J], library: Sequence[str] | None, say: Progress, *, tolerance_pct: float = 0.0
+        self,
+        evidence: Evidence[J],
+        library: Sequence[str] | None,
+        say: Progress,
+        *,
+        tolerance_pct: float = 0.0,
+        enough: Callable[[Node], bool] = lambda node: False,
     ) -> None:
         self.evidence, self.library, self.say, self.tolerance_pct = evidence, library, say, tolerance_pct
+        self.enough = enough
         self.settings = evidence.settings
         self.told: list[Candidate] = []
 
@@ -120,19 +129,25 @@ class Search(Generic[J]):
         """The best structure that the data speak for."""
         beam, best = [root], root
         while len(best.added) < self.settings.most_effects and not self.explains(best):
-            grown: dict[frozenset[str], Node] = {}
-            for node in beam:
-                for child in self.expand(node):
-                    was = grown.get(child.names)
-                    if was is None or child.state.price < was.state.price:
-                        grown[child.names] = child
-                if not grown and (self.evidence.exact or self.white(node)):
-                    break  # beside the best one nothing is missing
-            beam = self.best_first(list(grown.values()))[: self.settings.beam]
+            beam = self.best_first(self.next_ones(beam))[: self.settings.beam]
             if not beam or (best is not root and beam[0].price >= best.price):
                 break
             best = next((n for n in beam if self.explains(n)), beam[0])
         return self.exchanged(best)
+
+    def next_ones(self, beam: Sequence[Node]) -> list[Node]:
+        """The nodes with one more effect than those of a beam; the one that explains the data, where one does."""
+        grown: dict[frozenset[str], Node] = {}
+        for node in beam:
+            for child in self.expand(node):
+                if self.explains(child):
+                    return [child]
+                was = grown.get(child.names)
+                if was is None or child.state.price < was.state.price:
+                    grown[child.names] = child
+            if not grown and (self.evidence.exact or self.white(node)):
+                break  # beside the best one nothing is missing
+        return list(grown.values())
 
     def exchanged(self, best: Node) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
@@ -172,27 +187,29 @@ class Search(Generic[J]):
         """
         if self.tolerance_pct > 0.0 and self.stage(node).left_pct <= self.tolerance_pct:
             return True
+        if node.added and self.enough(node):
+            return True
         return self.evidence.exact and self.stage(node).follows
 
     def white(self, node: Node) -> bool:
         """Whether what a node leaves is noise."""
         return not node.lacks and self.evidence.white(node.state)
 
-    def expand(self, node: Node) -> list[Node]:
-        """The nodes with one more effect that the data speak for, the best first."""
+    def expand(self, node: Node) -> Iterator[Node]:
+        """The nodes with one more effect that the data speak for, the best first; each is finished when asked for."""
         beside = self.evidence.beside(node.state)
         offered, self.told = beside.offered(self.library)
         if node.added and not self.evidence.exact:  # what another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
         if not offered:
-            return []
+            return
         found = beside.refitted(offered, self.say)
         self.told += beside.passed_over()
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
         if not children:
-            return []
+            return
         null = beside.null(children[0].state)
         whys = each(lambda c: self.objection(node, c, null), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
@@ -204,7 +221,8 @@ class Search(Generic[J]):
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        return [self.grown(node, c, accepted, null.of(c.name)) for c in accepted[: self.settings.beam]]
+        for c in accepted[: self.settings.beam]:
+            yield self.grown(node, c, accepted, null.of(c.name))
 
     def asked(self, child: Child, null: Null) -> float:
         """The deviance that a candidate has to gain."""
