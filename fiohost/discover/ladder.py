@@ -75,12 +75,12 @@ def searched(
         again = as_whole_runs(seen)
         if not whole.explains(again):
             again = Node(runs.finished(again.state), seen.added)
-        again = again if whole.explains(again) else whole.run(again)
+        again = whole.exchanged(again) if whole.explains(again) else whole.run(again)
         if whole.explains(again):
             return whole.found(root, again)
     found = by_windows.found(begun, seen)
     found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
-    if exact and not (found.white and found.final.follows):
+    if exact and runs.few and not (found.white and found.final.follows):
         far = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct)
         best = far.run(root)
         if far.explains(best):

@@ -111,12 +111,12 @@ class Logs(Evidence[Stage]):
 
 class WholeRuns(Logs):
     """Free runs of whole records: counts are all that a true model leaves. ``anew`` lets candidates begin from values
-    of their own where none comes close.
+    of their own where none comes close: of few records only after windows, as much follows a few.
     """
 
     def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None, *, anew: bool = False) -> None:
         super().__init__(train, rng)
-        self.anew = anew
+        self.anew = anew or not self.few
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         n = max(fitted.samples, 1.0)

@@ -101,24 +101,29 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
     return min((*ahead, *further), key=lambda f: f.cost)
 
 
-def fit_anew(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
-    """As ``rough_fit``, but not from the base's values: those of a model that fits nothing lead nowhere."""
-
+def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], most: int) -> list[tuple[int, Fit]]:
+    """As ``rough_fit`` of several effects, but not from the base's values: those of a model that fits nothing lead
+    nowhere. Of windows all are fitted, of whole runs the ``most`` that leave least there; with their places among the
+    ``scores``.
+    """
     share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
     parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
 
-    def attempt(trial: Trial) -> Fit:
-        guess = first_guess(base.model.with_effect(score.effect.name, trial), records)
-        guess = guess.with_values({"linear.tau_s": OPTIMISER.anew_lag_s})
-        near = fit(guess, parts, windows=True, max_iterations=12, tolerance=1e-2)
-        return fit(near.model, records, max_iterations=8, tolerance=1e-3)
+    def in_windows(score: Score) -> Fit:
+        trials = score.trials[:1]
+        if score.raw:
+            trials = tuple(
+                sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[: OPTIMISER.anew_starts]
+            )
+        guesses = [first_guess(base.model.with_effect(score.effect.name, t), records) for t in trials]
+        guesses = [g.with_values({"linear.tau_s": OPTIMISER.anew_lag_s}) for g in guesses]
+        near = (fit(g, parts, windows=True, max_iterations=12, tolerance=1e-2) for g in guesses)
+        return min(near, key=lambda f: f.cost)
 
-    trials = score.trials[:1]
-    if score.raw:
-        trials = tuple(
-            sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[: OPTIMISER.anew_starts]
-        )
-    return min((attempt(t) for t in trials), key=lambda f: f.cost)
+    near = each(in_windows, scores)
+    best = sorted(range(len(near)), key=lambda i: near[i].cost)[:most]
+    whole = each(lambda i: fit(near[i].model, records, max_iterations=8, tolerance=1e-3), best)
+    return list(zip(best, whole, strict=True))
 
 
 def carried_on(rough: Fit, records: Sequence[Record]) -> Fit:

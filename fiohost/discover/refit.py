@@ -13,7 +13,7 @@ from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
-from fiohost.discover.optimise import OPTIMISER, carried_on, cost_of, fit_anew, rough_fit, thorough_fit
+from fiohost.discover.optimise import OPTIMISER, carried_on, cost_of, fits_anew, rough_fit, thorough_fit
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.discover.workers import each
@@ -83,8 +83,9 @@ class LogsBeside:
                 return []
             say("beginning anew with each of them")
             first = self.screens[0]
-            jobs = [Job(score, first.fit, first.records) for score in self.ranked[0]]
-            rough = each(lambda job: fit_anew(job.base, job.score, job.records), jobs)
+            anew = fits_anew(first.fit, self.ranked[0], first.records, s.refitted)
+            jobs = [Job(self.ranked[0][i], first.fit, first.records) for i, _ in anew]
+            rough = [found for _, found in anew]
             if min(f.rms for f in rough) > s.lost * floor:
                 return []
         kept = self.finalists(jobs, rough)

@@ -151,9 +151,10 @@ class Search(Generic[J]):
 
     def exchanged(self, best: Node) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
-        were missing. Beside what an exact fit does not follow nothing can be told by it.
+        were missing. Beside what an exact fit does not follow nothing can be told by it, nor by windows what whole runs
+        are to be asked.
         """
-        if self.evidence.exact and not self.explains(best):
+        if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
         for earlier in best.added[:-1]:
             if earlier not in best.added:

@@ -173,9 +173,10 @@ class WhitenSettings:
     """How windows are whitened by what is left in them."""
 
     # Noise and model settle on each other in so many rounds at most; they have where the next round would change the
-    # noise by less than this share of its interval.
+    # noise by less than this share of its interval, or, of several runs, the last one changed the deviance by less.
     rounds: int = 4
     settled: float = 0.1
+    settled_deviance: float = 0.2
     # A speed below this share of the top speed is a digit of rounding.
     stands: float = 1e-6
     # Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.

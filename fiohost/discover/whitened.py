@@ -224,6 +224,7 @@ def settle(
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
+    deviance = np.inf
     for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
             alone = each_alone(around_runs(fitted, bare, alone)[1])
@@ -237,6 +238,9 @@ def settle(
         fitted = fit(
             model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
         )
+        before, deviance = deviance, Settled(fitted, plainly, whitened, noise, moves).deviance
+        if several and abs(before - deviance) < WHITENING.settled_deviance:
+            break
     return Settled(fitted, plainly, whitened, noise, moves)
 
 
