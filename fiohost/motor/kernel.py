@@ -70,7 +70,7 @@ def _acting(act_times, now):  # type: ignore[no-untyped-def]
 
 @inlined
 def _run(  # type: ignore[no-untyped-def]
-    way, two, more, special, times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on,
+    way, kind, more, special, times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on,
     states,
 ):  # fmt: skip
     """The loop over samples and commands. The first four arguments are constants, each set of which makes code of its
@@ -103,7 +103,7 @@ def _run(  # type: ignore[no-untyped-def]
                     slide(x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
                 else:
                     advance(
-                        x, duty, mode, clock + now, until - now, substep, joint[0], lag, lost, has, two, more, special,
+                        x, duty, mode, clock + now, until - now, substep, kind, lag, lost, has, more, special,
                         p, on,
                     )  # fmt: skip
             now = until
@@ -145,34 +145,19 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     more = remembers(on) or ends(on) or bristles(on) or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
     begin = _acting(act_times, times[first] - delay((), p, on))
     simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
-    rigid = joint[0] == RIGID
+    rigid, spring = joint[0] == RIGID, joint[0] == SPRING
+    of = times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states
     if rigid and lag == 0.0 and is_steady(substep, on):
-        _run(
-            GLIDE, False, False, False, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
+        _run(GLIDE, RIGID, False, False, *of)
     elif rigid and lag == 0.0:
-        _run(
-            SLIDE, False, False, False, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
+        _run(SLIDE, RIGID, False, False, *of)
     elif rigid and not simple and not (remembers(on) or ends(on) or bristles(on) or lost[3] or lost[4]):
-        _run(
-            STEP, False, False, True, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
-    elif rigid and simple and not more:
-        _run(
-            STEP, False, False, False, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
+        _run(STEP, RIGID, False, True, *of)
     elif more or not simple:
-        _run(
-            STEP, True, True, True, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
+        _run(STEP, joint[0], True, True, *of)
+    elif rigid:
+        _run(STEP, RIGID, False, False, *of)
+    elif spring:
+        _run(STEP, SPRING, False, False, *of)
     else:
-        _run(
-            STEP, True, False, False, times, act_times, duties, modes, clock, first, last, state, substep,
-            joint, lag, lost, p, on, states,
-        )  # fmt: skip
+        _run(STEP, PLAY, False, False, *of)

@@ -58,13 +58,13 @@ from fiohost.motor.state import (
 
 
 @inlined
-def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, two, more, special, p, on):  # type: ignore[no-untyped-def]
+def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, special, p, on):  # type: ignore[no-untyped-def]
     """Carry the motor over a span of constant command. ``kind`` is what joins the load, ``lost`` what
     ``electrics.losses`` says of the winding, ``has`` what ``body.asked`` says.
 
-    A caller says as constants what kind of motor it is, so that the rest is left out of its code: ``two`` bodies,
-    ``more`` than friction and torques (ends of travel, bristles, states of effects' own, a voltage or resistance that
-    changes), a ``special`` circuit, whose current may cease or be limited within a PWM period.
+    A caller says as constants what kind of motor it is, so that the rest is left out of its code: ``kind``, whether
+    there is ``more`` than friction and torques (ends of travel, bristles, states of effects' own, a voltage or
+    resistance that changes), and a ``special`` circuit, whose current may cease or be limited within a PWM period.
     """
     pulls, loads, remembering, ending, bristly, rubbing, forward, reverse, extra, bodies = has
     _, per_gain, mass, own, other, per_own, per_other, _, _, half_gap = bodies
@@ -79,17 +79,16 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, two, more,
         if left <= 0.0:
             break
         theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
-        joined, sprung, load_omega, load_at, twist = True, False, omega, theta, 0.0
+        joined = kind == RIGID or (kind == PLAY and contact != 0.0)
+        sprung = kind == SPRING and (half_gap == 0.0 or contact != 0.0)
+        load_omega, load_at, twist = omega, theta, 0.0
         dt = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
-        if two:
-            joined = kind == RIGID or (kind == PLAY and contact != 0.0)
-            sprung = kind == SPRING and (half_gap == 0.0 or contact != 0.0)
-            if kind != RIGID:
-                load_at = x[LOAD_THETA]
-                twist = theta - load_at
-                if not joined:
-                    load_omega = x[LOAD_OMEGA]
-            if half_gap > 0.0 and contact == 0.0 and kind != RIGID:
+        if kind != RIGID:
+            load_at = x[LOAD_THETA]
+            twist = theta - load_at
+            if not joined:
+                load_omega = x[LOAD_OMEGA]
+            if half_gap > 0.0 and contact == 0.0:
                 dt = min(dt, OPEN_GAP_S)
 
         at, shift, free, way, settled = time, 0, -1, 0.0, x[HELD] != 0.0
@@ -137,7 +136,7 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, two, more,
                 if omega == 0.0:
                     held = ending and joined and barred((load_at, direction), p, on)
                     stuck = held or not (bristled or released or abs(total) > hold)
-                if two and kind == PLAY and joined:
+                if kind == PLAY and joined:
                     # In contact they stay together unless each by itself would go its own way.
                     alone, rate = push + rest, beyond * per_other
                     if bristled:
