@@ -28,7 +28,7 @@ from typing import Any
 import numba as _numba
 from numba.extending import register_jitable
 
-from fiohost.motor.linked import InlinedCompiler, PartCompiler, call_by_address
+from fiohost.motor.linked import HelperCompiler, InlinedCompiler, PartCompiler, call_by_address
 
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
@@ -135,6 +135,11 @@ def shared(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 def part(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel that is called, not repeated wherever it is used."""
     return register_jitable(pipeline_class=PartCompiler, **PART)(function)
+
+
+def helper(function: Callable[..., Any]) -> Any:
+    """Compile a part of an entry kernel that is called or repeated, as LLVM finds best."""
+    return register_jitable(pipeline_class=HelperCompiler, **PART)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:

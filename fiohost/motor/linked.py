@@ -23,15 +23,14 @@ from numba.extending import intrinsic, overload
 class Draft(JITCodeLibrary):
     """Code of a part: linked with what it calls, but optimised and made into machine code only within its kernel."""
 
-    def __init__(self, codegen: Any, name: str, inlines: bool) -> None:
+    def __init__(self, codegen: Any, name: str, attribute: str) -> None:
         super().__init__(codegen, name)
-        self.inlines = inlines
+        self.attribute = attribute
 
     def finalize(self) -> None:
-        if self.inlines:
-            for function in self._final_module.functions:
-                if not function.is_declaration:
-                    function.add_function_attribute("alwaysinline")
+        for function in self._final_module.functions:
+            if self.attribute and not function.is_declaration:
+                function.add_function_attribute(self.attribute)
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
@@ -52,20 +51,26 @@ class Draft(JITCodeLibrary):
 
 
 class PartCompiler(Compiler):
-    """Numba's own, but that the code goes into a draft."""
+    """Numba's own, but that the code goes into a draft: of a part that is called wherever it is used."""
 
-    inlines = False
+    attribute = "noinline"
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         if self.state.library is None:
-            self.state.library = Draft(self.state.targetctx.codegen(), "part", self.inlines)
+            self.state.library = Draft(self.state.targetctx.codegen(), "part", self.attribute)
 
 
 class InlinedCompiler(PartCompiler):
     """Of a part that is put into its callers, however many there are."""
 
-    inlines = True
+    attribute = "alwaysinline"
+
+
+class HelperCompiler(PartCompiler):
+    """Of a part that is put into its callers where LLVM finds it small enough."""
+
+    attribute = ""
 
 
 def call_by_address(function: Any, entry: Any, signature: Any, options: Mapping[str, Any]) -> None:
