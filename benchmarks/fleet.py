@@ -5,8 +5,8 @@
 
 Prints motors per core and minute, which of the bad lot were missed and which good ones were said to stand apart, and
 how well gain, lag and friction are known from a short log alone, from one with the type behind it, and from a long one
-alone. Motors are drawn, simulated by the board with a random torque on their shafts, and logged; the fleet sees the
-logs.
+alone; and how well they could be, as motors of a type differ. Motors are drawn, simulated by the board with a random
+torque on their shafts, and logged; the fleet sees the logs.
 """
 
 from __future__ import annotations
@@ -119,7 +119,18 @@ def off(rows: list[Any], truths: list[Any], values: list[np.ndarray]) -> np.ndar
     """Rms errors (3) of estimates as shares of the truth, in percent."""
     true = np.array([[t[n] for n in NAMES] for t in truths])
     own = np.array([v[[list(r["names"]).index(n) for n in NAMES]] for r, v in zip(rows, values, strict=True)])
-    return 100.0 * np.sqrt(np.mean(np.log(own / true) ** 2, axis=0))
+    return 100.0 * np.sqrt(np.mean((own / true - 1.0) ** 2, axis=0))
+
+
+def bound(rows: list[Any], truths: list[Any]) -> np.ndarray:
+    """Rms errors (3), in percent, of the best linear estimate from what logs say alone, where both is known: how motors
+    differ, and how that errs.
+    """
+    true = np.array([[t[n] for n in NAMES] for t in truths])
+    own = np.array([np.array(r["values"])[[list(r["names"]).index(n) for n in NAMES]] for r in rows])
+    errors, differ = own / true - 1.0, np.cov((true / np.median(true, axis=0)).T)
+    information = np.linalg.inv(differ) + np.linalg.inv(errors.T @ errors / len(errors))
+    return 100.0 * np.sqrt(np.diag(np.linalg.inv(information)))
 
 
 def main() -> int:
@@ -160,11 +171,14 @@ def main() -> int:
     type_, short = population(together[: len(rows)]), together[len(rows) :]
     assert type_ is not None
     own = [np.array(r["values"]) for r in short]
+    middle = [type_.mean * type_.scale for _ in short]
     behind = [type_.with_prior(np.array(r["values"]), np.array(r["covariance"], dtype=float))[0] for r in short]
     print(f"rms error in % of {', '.join(n.rpartition('.')[2] for n in NAMES)}, {len(fresh)} fresh good motors:")
     for name, error in (
         ("5 s alone", off(short, truths, own)),
         ("5 s with the type behind it", off(short, truths, behind)),
+        ("  at best, all of both known", bound(short, truths)),
+        ("the type's mean, no log", off(short, truths, middle)),
         ("60 s alone", off(long, truths, [np.array(r["values"]) for r in long])),
     ):
         print(f"  {name:28s}" + "".join(f"{e:8.2f}" for e in error))

@@ -177,7 +177,7 @@ def test_the_population_is_that_of_which_motors_were_drawn_and_lends_what_one_la
     rows, true = drawn_rows(200, 0.05, 0.10, np.random.default_rng(1))
     found = population(rows)
     assert found is not None
-    assert np.exp(found.mean) == pytest.approx([10.0, 0.08], rel=0.03)
+    assert found.mean * found.scale == pytest.approx([10.0, 0.08], rel=0.03)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx([0.05, 0.05], rel=0.4)
     seen = np.array([row["values"] for row in rows])
     lent = np.array([found.with_prior(np.array(r["values"]), np.array(r["covariance"]))[0] for r in rows])
@@ -226,6 +226,35 @@ def test_a_short_log_with_the_fleet_behind_it_says_more_than_alone() -> None:
         alone.append(np.log(values / true))
         behind.append(np.log(type_.with_prior(values, covariance)[0] / true))
     assert np.sqrt(np.mean(np.square(behind))) < 0.8 * np.sqrt(np.mean(np.square(alone)))
+
+
+def test_a_parameter_stands_apart_that_errs_with_another_as_soon_as_the_other_is_as_in_the_type() -> None:
+    """Gain and friction err together: by itself each scatters by 20 %, but not one alone."""
+    rng = np.random.default_rng(4)
+    covariance = np.square([0.2, 0.2])[:, None] * np.array([[1.0, 0.95], [0.95, 1.0]])
+    seen = np.array([1.0, 3.0]) * (1.0 + rng.multivariate_normal([0.0, 0.0], covariance, 200))
+    seen[0] = [0.95, 3.0 * 1.5]
+    wide = (covariance * np.outer([1.0, 3.0], [1.0, 3.0])).tolist()
+    rows = [{"bench": str(i), "error": None, "names": ["a", "b"], "values": v.tolist(), "window_rms": 1.0 + i % 3,
+             "covariance": wide} for i, v in enumerate(seen)]  # fmt: skip
+    z = z_scores(rows, ("a", "b"))
+    assert abs(z[0, 1]) > 5.0
+    assert np.max(np.abs(z[1:, :2])) < 4.0
+
+
+def test_a_short_log_claims_no_more_than_it_knows() -> None:
+    """Of five windows a fit takes much of what its errors leave; its intervals are as true as those of many windows."""
+    rng = np.random.default_rng(6)
+    truth, off = Model(("coulomb_friction",), {GAIN: 10.5, TAU: 0.08, LEVEL: 3.0}), []
+    for _ in range(24):
+        record = measure(truth, steps(5.0, rng), rng)
+        noisy = replace(
+            record, y=record.y + 5.0 * np.repeat(rng.standard_normal(len(record) // 40 + 1), 40)[: len(record)]
+        )
+        row = fitted(MODEL, [noisy])
+        true = np.array([truth.number(n) for n in row["names"]])
+        off.append((np.array(row["values"]) - true) / np.sqrt(np.diag(np.array(row["covariance"], dtype=float))))
+    assert np.sqrt(np.mean(np.square(off))) < 1.5
 
 
 def test_good_motors_do_not_stand_apart_and_a_trend_is_told_from_none() -> None:

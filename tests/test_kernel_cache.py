@@ -104,3 +104,53 @@ def test_a_planted_kernel_is_not_run(tmp_path: Path) -> None:
     }
     said = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert said.stdout.split() == ["None"]
+
+
+KERNELS = """
+from numba import types
+from fiohost.motor.compiled import compiled, inlined, part, shared
+
+@part
+def thrice(x):
+    return 3.0 * x
+
+@inlined
+def sixfold(x):
+    return 2.0 * thrice(x)
+
+@shared(types.none(types.float64[::1], types.int64))
+def raise_all(values, count):
+    for i in range(count):
+        values[i] = sixfold(values[i])
+
+@compiled
+def raise_twice(values, count):
+    raise_all(values, count)
+    raise_all(values, count)
+"""
+USE = """
+import numpy as np, kernels
+values = np.ones(3)
+kernels.raise_twice(values, 3)
+(made,) = kernels.raise_twice.overloads.values()
+names = [f.name for f in made.library.get_defined_functions()]
+print(values[0], sum(kernels.raise_twice.stats.cache_hits.values()), any("sixfold" in n for n in names))
+kernels.raise_all(values, 3)
+print(values[2])
+"""
+
+
+def test_a_kernel_that_others_call_is_compiled_once_and_found_when_they_are_loaded(tmp_path: Path) -> None:
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    places = os.pathsep.join((str(tmp_path), str(ROOT)))
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": places}
+
+    def used() -> list[str]:
+        said = subprocess.run([sys.executable, "-c", USE], env=environment, capture_output=True, text=True, check=True)
+        return said.stdout.split()
+
+    assert used() == ["36.0", "0", "False", "216.0"]  # compiled: the caller holds no copy of what it calls
+    assert used() == ["36.0", "1", "False", "216.0"]  # loaded from the cache, and so is what it calls
+    for kept in (tmp_path / "cache").rglob("kernels.raise_all*"):
+        kept.unlink()
+    assert used() == ["36.0", "1", "False", "216.0"]  # loaded, with what it calls compiled anew

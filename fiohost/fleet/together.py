@@ -1,12 +1,14 @@
 """What the motors of a type have in common: random effects over motors, and which stand apart from the others.
 
-Parameters that are positive are taken by their logarithms. The population's mean and covariance are the maximum of the
+Parameters are taken as they are, in units of their medians: their errors are those of least squares, which for one that
+is known badly are far from those of a logarithm. The population's mean and covariance are the maximum of the
 marginal likelihood, by expectation and maximisation (Laird and Ware 1982). A motor of which little was seen borrows
 what it does not know of itself (empirical Bayes; Efron and Morris 1975).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,10 +31,10 @@ LEAST_SD = 1e-4
 
 @dataclass(frozen=True)
 class Population:
-    """Mean (k) and covariance (k, k) of the parameters ``names`` over motors; ``logs`` (k) are those by logarithms."""
+    """Mean (k) and covariance (k, k) of the parameters ``names`` over motors, in units of ``scale`` (k)."""
 
     names: tuple[str, ...]
-    logs: np.ndarray
+    scale: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
     motors: int
@@ -40,13 +42,11 @@ class Population:
     def with_prior(self, values: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A motor's own values (k) and covariance (k, k; nan where it does not know) with what the type says of it."""
         mean, cov = self.posterior(*self.inner(values, covariance))
-        back = np.where(self.logs, np.exp(mean), mean)
-        slope = np.where(self.logs, back, 1.0)
-        return back, cov * np.outer(slope, slope)
+        return mean * self.scale, cov * np.outer(self.scale, self.scale)
 
     def inner(self, values: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and information (k, k) in the population's own terms; none where it is not known."""
-        return _inner(self.logs, values, covariance)
+        return _inner(self.scale, values, covariance)
 
     def posterior(self, values: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of a motor, the population being its prior."""
@@ -54,20 +54,30 @@ class Population:
         cov = np.linalg.inv(prior + information)
         return cov @ (prior @ self.mean + information @ values), cov
 
+    def alone(self, values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """How far each parameter (k) is from the type if all others are as in it, in standard deviations; nan where a
+        motor does not know. Errors that go together, as those of gain and friction do, tell less than they seem to.
+        """
+        found = np.full(len(values), np.nan)
+        own = covariance / np.outer(self.scale, self.scale)
+        known = np.isfinite(np.diag(own)) & np.isfinite(values)
+        if known.any():
+            part = np.ix_(known, known)
+            inverse = np.linalg.inv(self.covariance[part] + own[part])
+            off = (values / self.scale - self.mean)[known]
+            found[known] = inverse @ off / np.sqrt(np.diag(inverse))
+        return found
+
     def to_json(self) -> dict[str, Any]:
         sd = np.sqrt(np.diag(self.covariance))
-        middle = np.where(self.logs, np.exp(self.mean), self.mean)
         return {
-            name: {"median": float(m), "sd": float(s * m if is_log else s), "motors": self.motors}
-            for name, m, s, is_log in zip(self.names, middle, sd, self.logs, strict=True)
+            name: {"median": float(m * u), "sd": float(s * u), "motors": self.motors}
+            for name, m, s, u in zip(self.names, self.mean, sd, self.scale, strict=True)
         }
 
 
-def _inner(logs: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    safe = np.where(logs, np.maximum(values, 1e-300), values)
-    inner = np.where(logs, np.log(np.where(logs, safe, 1.0)), values)
-    slope = np.where(logs, safe, 1.0)
-    own = covariance / np.outer(slope, slope)
+def _inner(scale: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    inner, own = values / scale, covariance / np.outer(scale, scale)
     information = np.zeros_like(own)
     known = np.isfinite(np.diag(own)) & (np.diag(own) > 0.0) & np.isfinite(inner)
     if known.any():
@@ -82,15 +92,22 @@ def calibrated(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     What wanders for longer than a reading, as a torque on the shaft, makes least squares too sure by a factor that is
     much the same for all motors of a type, and that a short log alone cannot tell. Extremes of it are left out.
     """
-    known = sorted(float(r["inflation"]) for r in rows if r.get("inflation") is not None)
+    of = [r for r in rows if r.get("inflation") is not None]
+    if not of:
+        return [dict(r) for r in rows]
+    most = Counter(tuple(r["names"]) for r in of).most_common(1)[0][0]
+    known = np.sort([r["inflation"] for r in of if tuple(r["names"]) == most], axis=0)
     cut = int(TRIMMED * len(known))
-    factor = max(float(np.mean(known[cut : len(known) - cut])), 1.0) if known else 1.0
-    return [
-        {**r, "covariance": (factor * np.array(r["covariance"], dtype=np.float64)).tolist(), "inflation": None}
-        if r.get("inflation") is not None
-        else dict(r)
-        for r in rows
-    ]
+    factor = dict(zip(most, np.sqrt(np.maximum(known[cut : len(known) - cut].mean(axis=0), 1.0)), strict=True))
+
+    def wide(row: Mapping[str, Any]) -> dict[str, Any]:
+        if row.get("inflation") is None:
+            return dict(row)
+        own = np.array([factor.get(name, 1.0) for name in row["names"]])
+        covariance = np.array(row["covariance"], dtype=np.float64) * np.outer(own, own)
+        return {**row, "covariance": covariance.tolist(), "inflation": None}
+
+    return [wide(row) for row in rows]
 
 
 def population(rows: Sequence[Mapping[str, Any]]) -> Population | None:
@@ -105,16 +122,17 @@ def population(rows: Sequence[Mapping[str, Any]]) -> Population | None:
     rows = [r for r in rows if tuple(r["names"]) == names]
     values = np.array([r["values"] for r in rows], dtype=np.float64)
     covariances = np.array([np.array(r["covariance"], dtype=np.float64) for r in rows])
-    logs = np.all(values > 0.0, axis=0)
-    pairs = [_inner(logs, v, c) for v, c in zip(values, covariances, strict=True)]
-    inner = np.array([np.where(logs, np.log(np.where(logs, v, 1.0)), v) for v in values])
+    scale = np.abs(np.median(values, axis=0))
+    scale[scale == 0.0] = 1.0
+    pairs = [_inner(scale, v, c) for v, c in zip(values, covariances, strict=True)]
+    inner = values / scale
     middle = np.median(inner, axis=0)
     wide = np.maximum(MAD * np.median(np.abs(inner - middle), axis=0), LEAST_SD)
     near = np.all(np.abs(inner - middle) <= 5.0 * np.hypot(wide, _own_sd(pairs)), axis=1)
     pairs = [p for p, ok in zip(pairs, near, strict=True) if ok]
     if len(pairs) < LEAST_MOTORS:
         return None
-    floor = np.diag(np.square(LEAST_SD * np.maximum(np.abs(np.where(logs, 1.0, middle)), LEAST_SD)))
+    floor = np.diag(np.full(len(names), LEAST_SD**2))
     mean, cov = middle.copy(), np.diag(wide**2)
     for _ in range(ROUNDS):
         prior = np.linalg.inv(cov)
@@ -127,7 +145,7 @@ def population(rows: Sequence[Mapping[str, Any]]) -> Population | None:
         mean, cov = new, after
         if settled:
             break
-    return Population(names, logs, mean, cov, len(pairs))
+    return Population(names, scale, mean, cov, len(pairs))
 
 
 def _own_sd(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -141,26 +159,35 @@ def _own_sd(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 def z_scores(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> np.ndarray:
     """Robust z-scores (rows, k + 1) of parameters by median and median absolute deviation, each motor's own interval
-    added; the last is that of what the fit leaves. nan where a row has none.
+    added, or how far it is if all other parameters are as in the type, whichever is farther; the last is that of what
+    the fit leaves. nan where a row has none.
     """
     values = np.full((len(rows), len(names) + 1), np.nan)
-    own = np.zeros_like(values)
+    own, alone = np.zeros_like(values), np.full_like(values, np.nan)
+    type_ = population(rows)
     for i, row in enumerate(rows):
         if row.get("error") or tuple(row.get("names", ())) != tuple(names):
             continue
         covariance = np.array(row["covariance"], dtype=np.float64)
         values[i] = [*row["values"], row["window_rms"]]
         own[i, :-1] = np.nan_to_num(np.sqrt(np.maximum(np.diag(covariance), 0.0)), nan=np.inf)
+        if type_ is not None and type_.names == tuple(names):
+            alone[i, :-1] = type_.alone(values[i, :-1], covariance)
     if not np.isfinite(values).any():
         return values
-    logs = np.nanmin(values, axis=0) > 0.0
-    own = np.where(logs, own / np.where(logs, np.where(np.isfinite(values), values, 1.0), 1.0), own)
-    values = np.where(logs, np.log(np.where(logs, values, 1.0)), values)
     middle = np.nanmedian(values, axis=0)
-    wide = np.maximum(MAD * np.nanmedian(np.abs(values - middle), axis=0), LEAST_SD)
+    wide = np.maximum(_robust_sd(values), LEAST_SD * np.abs(middle))
     typical = np.nanmedian(np.where(np.isfinite(own), own, np.nan), axis=0)
     # The spread holds what an ordinary motor's interval adds; only what a motor knows less well than that is its own.
-    return np.asarray((values - middle) / np.sqrt(wide**2 + np.maximum(own**2 - typical**2, 0.0)))
+    marginal = (values - middle) / np.sqrt(wide**2 + np.maximum(own**2 - typical**2, 0.0))
+    known = np.isfinite(alone).any(axis=0)
+    alone[:, known] /= np.maximum(_robust_sd(alone[:, known]), 1.0)
+    return np.where(np.nan_to_num(np.abs(alone)) > np.abs(marginal), alone, marginal)
+
+
+def _robust_sd(values: np.ndarray) -> np.ndarray:
+    """Of the columns of values (n, k), nan left out."""
+    return np.asarray(MAD * np.nanmedian(np.abs(values - np.nanmedian(values, axis=0)), axis=0))
 
 
 def trend(order: np.ndarray, values: np.ndarray) -> dict[str, float] | None:

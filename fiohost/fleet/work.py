@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-SCHEMA = "fiohost.fleet_bench/1"
+SCHEMA = "fiohost.fleet_bench/2"
 ALL, NONE = "all", "none"
 
 
@@ -78,8 +78,8 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
     """The declared model fitted to one bench's records: free parameters (k) with their covariance (k, k).
 
     The covariance is that of least squares, what is left in a window of 1 s being as good as some readings that err
-    apart: a few seconds are too few pieces for their scatter to say it. ``inflation`` is what their scatter says all
-    the same, for the fleet to take together: the variance by it over that one, the mean over parameters.
+    apart: a few seconds are too few pieces for their scatter to say it. ``inflation`` (k) is what their scatter says
+    all the same, for the fleet to take together: the variance by it over that one.
     """
     from fiohost.discover.own_start import SETTINGS
     from fiohost.estimation.fit import fit_from_scratch
@@ -89,15 +89,17 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
     sizes = np.linalg.norm(columns, axis=0)
     ok, scale = sizes > 0.0, np.where(sizes > 0.0, sizes, 1.0)
     apart = sum(len(r.windows) - 1 for r in records) * SETTINGS.readings_a_window
-    variance = found.rms**2 * max(found.samples / apart, 1.0)
+    pulls = _pulls(found, records, scale)
+    pieces = len(pulls)
+    # Of small samples, as by MacKinnon and White (1985): a fit to five windows takes much of what its errors leave.
+    small = pieces / max(pieces - len(scale), 1)
+    variance = small * found.rms**2 * max(found.samples / apart, 1.0)
     inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12, hermitian=True)
     cov = variance * inverse / np.outer(scale, scale)
-    pulls = _pulls(found, records, scale) @ inverse
-    pieces = len(pulls)
-    # Cluster-robust, windows being the clusters (Liang and Zeger 1986); small samples as by MacKinnon and White (1985).
-    robust = np.sum(pulls**2, axis=0) * pieces / max(pieces - len(scale), 1)
-    claimed = variance * np.diag(inverse)
-    inflation = float(np.mean(robust[ok] / claimed[ok])) if ok.any() and (claimed[ok] > 0.0).all() else None
+    # Cluster-robust, windows being the clusters (Liang and Zeger 1986).
+    robust, claimed = small * np.sum((pulls @ inverse) ** 2, axis=0), variance * np.diag(inverse)
+    known = ok & (claimed > 0.0)
+    inflation = np.divide(robust, claimed, out=np.ones_like(robust), where=known).tolist() if known.any() else None
     return {
         "names": list(found.names),
         "values": [found.model.number(n) for n in found.names],

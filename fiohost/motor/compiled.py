@@ -21,17 +21,25 @@ import stat
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
 import numba as _numba
 from numba.extending import register_jitable
 
+from fiohost.motor.linked import HelperCompiler, InlinedCompiler, PartCompiler, call_by_address
+
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
 PRIVATE = 0o700
 ROUNDING = {"contract"}
+PART: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": ROUNDING,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
 
 
 @cache
@@ -106,21 +114,37 @@ def compiled(function: Callable[..., Any]) -> Any:
         numba.config.CACHE_DIR = before
 
 
-def part(function: Callable[..., Any]) -> Any:
-    """Compile a part of an entry kernel that is called, not repeated wherever it is used.
-
-    It says so, as it would inherit ``forceinline`` from a caller.
+def shared(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile an entry kernel that other entry kernels call at its address; else each would hold a copy of its code,
+    optimised and made into machine code once more.
     """
-    return register_jitable(
-        error_model="numpy", fastmath=ROUNDING, forceinline=False, _nrt=False, no_cfunc_wrapper=True
-    )(function)
+
+    def made(function: Callable[..., Any]) -> Callable[..., Any]:
+        entry = compiled(function)
+
+        @wraps(function)
+        def from_python(*args: Any) -> Any:
+            return entry(*args)
+
+        call_by_address(from_python, entry, signature, PART)
+        return from_python
+
+    return made
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a part of an entry kernel that is called, not repeated wherever it is used."""
+    return register_jitable(pipeline_class=PartCompiler, **PART)(function)
+
+
+def helper(function: Callable[..., Any]) -> Any:
+    """Compile a part of an entry kernel that is called or repeated, as LLVM finds best."""
+    return register_jitable(pipeline_class=HelperCompiler, **PART)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return register_jitable(
-        error_model="numpy", fastmath=ROUNDING, forceinline=True, _nrt=False, no_cfunc_wrapper=True
-    )(function)
+    return register_jitable(pipeline_class=InlinedCompiler, **PART)(function)
 
 
 @inlined

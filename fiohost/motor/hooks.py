@@ -13,7 +13,7 @@ from math import exp, inf, nan
 from types import FunctionType
 from typing import Any
 
-from fiohost.motor.compiled import inlined, part
+from fiohost.motor.compiled import helper, inlined
 from fiohost.motor.effect import Effect, effects, layout
 
 EFFECT_INDEX = {name: i for i, name in enumerate(effects())}
@@ -42,7 +42,7 @@ def _with_helpers(function: Any) -> Any:
     """A hook that calls plain functions of its own module, those compiled as well."""
     known = function.__globals__
     called = {name: known[name] for name in function.__code__.co_names if isinstance(known.get(name), FunctionType)}
-    own = {n: part(_with_helpers(f)) for n, f in called.items() if f.__module__ == function.__module__}
+    own = {n: helper(_with_helpers(f)) for n, f in called.items() if f.__module__ == function.__module__}
     if not own:
         return function
     return FunctionType(function.__code__, {**known, **own}, function.__name__, None, function.__closure__)

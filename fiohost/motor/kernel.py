@@ -12,12 +12,11 @@ Units: degrees (or the unit of a linear axis), seconds, percent of duty.
 from __future__ import annotations
 
 from math import inf
-from typing import Any
 
-import numpy as np
+from numba import types
 
 from fiohost.motor.body import asked, glide, is_steady, slide
-from fiohost.motor.compiled import compiled, inlined
+from fiohost.motor.compiled import inlined, part, shared
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
 from fiohost.motor.flow import SAME_TIME_S
@@ -35,7 +34,10 @@ from fiohost.motor.hooks import (
     voltage,
 )
 from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
-from fiohost.motor.step import stepper
+from fiohost.motor.step import advance
+
+# How a motor steps: over a whole hold, as one body, or by any step.
+GLIDE, SLIDE, STEP = range(3)
 
 
 @inlined
@@ -54,69 +56,85 @@ def joint_of(p, on):  # type: ignore[no-untyped-def]
     return RIGID, 0.0, 0.0, 0.0, 0.0, mass
 
 
-def _over(advance: Any, steady: bool = False, body: bool = False) -> Any:
-    """The loop over samples and commands, with a step of the motor."""
+@part
+def _acting(act_times, now):  # type: ignore[no-untyped-def]
+    """How many commands have begun to act, by bisection."""
+    low, high = 0, act_times.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if act_times[middle] <= now:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
-    @inlined
-    def run(times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on, states):  # type: ignore[no-untyped-def]
-        late, n = delay((), p, on), act_times.shape[0]
-        now = times[first]
-        has = asked(joint, clock + now, x, p, on)
-        change = next_moment(clock + now, p, on) - clock
-        j = np.searchsorted(act_times, now - late, side="right")
-        acts = act_times[j] + late if j < n else inf
-        duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
-        if steady:
-            volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
-            force = torque(at, p, on) + load(at, p, on)
+
+@inlined
+def _run(  # type: ignore[no-untyped-def]
+    way, kind, more, special, times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on,
+    states,
+):  # fmt: skip
+    """The loop over samples and commands. The first four arguments are constants, each set of which makes code of its
+    own: how the motor steps, and what ``step.advance`` has to know.
+    """
+    late, n = delay((), p, on), act_times.shape[0]
+    now = times[first]
+    has = asked(joint, clock + now, x, p, on)
+    change = next_moment(clock + now, p, on) - clock
+    j = _acting(act_times, now - late)
+    acts = act_times[j] + late if j < n else inf
+    duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
+    if way == GLIDE:
+        volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
+        force = torque(at, p, on) + load(at, p, on)
+    for i in range(STATE_SIZE):
+        states[0, i] = x[i]
+    for k in range(first + 1, last):
+        while now < times[k]:
+            until = times[k]
+            changes = acts < until
+            if changes:
+                until = max(acts, now)
+            if change < until:
+                until, changes = change, False
+            if until - now > SAME_TIME_S:  # rounding alone is no span
+                if way == GLIDE:
+                    glide(x, volts, mode, until - now, force, has)
+                elif way == SLIDE:
+                    slide(x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
+                else:
+                    advance(
+                        x, duty, mode, clock + now, until - now, substep, kind, lag, lost, has, more, special,
+                        p, on,
+                    )  # fmt: skip
+            now = until
+            if now >= change:
+                change = next_moment(clock + now, p, on) - clock
+                change = change if change > now else inf
+                has = asked(joint, clock + now, x, p, on)
+                if way == GLIDE:
+                    volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
+                    force = torque(at, p, on) + load(at, p, on)
+            if changes:
+                j += 1
+                acts = act_times[j] + late if j < n else inf
+                if duties[j] != duties[j - 1] or modes[j] != mode:
+                    x[HELD] = 0.0
+                    duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
+                    if way == GLIDE:
+                        volts = voltage(duty, (duty, clock + now), x, 0, p, on)
         for i in range(STATE_SIZE):
-            states[0, i] = x[i]
-        for k in range(first + 1, last):
-            while now < times[k]:
-                until = times[k]
-                changes = acts < until
-                if changes:
-                    until = max(acts, now)
-                if change < until:
-                    until, changes = change, False
-                if until - now > SAME_TIME_S:  # rounding alone is no span
-                    if steady:
-                        advance(x, volts, mode, until - now, force, has)
-                    elif body:
-                        advance(x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
-                    else:
-                        advance(x, duty, mode, clock + now, until - now, substep, joint[0], lag, lost, has, p, on)
-                now = until
-                if now >= change:
-                    change = next_moment(clock + now, p, on) - clock
-                    change = change if change > now else inf
-                    has = asked(joint, clock + now, x, p, on)
-                    if steady:
-                        volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
-                        force = torque(at, p, on) + load(at, p, on)
-                if changes:
-                    j += 1
-                    acts = act_times[j] + late if j < n else inf
-                    if duties[j] != duties[j - 1] or modes[j] != mode:
-                        x[HELD] = 0.0
-                        duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
-                        if steady:
-                            volts = voltage(duty, (duty, clock + now), x, 0, p, on)
-            for i in range(STATE_SIZE):
-                states[k - first, i] = x[i]
-
-    return run
+            states[k - first, i] = x[i]
 
 
-_steady = _over(glide, steady=True)
-_body = _over(slide, body=True)
-_one = _over(stepper(two=False, more=False, special=False))
-_two = _over(stepper(two=True, more=False, special=False))
-_open = _over(stepper(two=False, more=False, special=True))
-_all = _over(stepper(two=True, more=True, special=True))
+_series, _flags = types.float64[::1], types.boolean[::1]
+SIGNATURE = types.none(
+    _series, _series, _series, types.int64[::1], types.float64, types.int64, types.int64, _series, types.float64,
+    _series, _flags, types.float64[:, ::1],
+)  # fmt: skip
 
 
-@compiled
+@shared(SIGNATURE)
 def simulate(times, act_times, duties, modes, clock, first, last, state, substep, p, on, states):  # type: ignore[no-untyped-def]
     """Simulate samples ``first..last`` of a record from ``state``; ``states[k - first]`` is the state at ``times[k]``.
 
@@ -126,18 +144,21 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     """
     joint, lag, lost = joint_of(p, on), winding_lag(p, on), losses(p, on)
     more = remembers(on) or ends(on) or bristles(on) or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
-    begin = np.searchsorted(act_times, times[first] - delay((), p, on), side="right")
+    begin = _acting(act_times, times[first] - delay((), p, on))
     simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
-    rigid = joint[0] == RIGID
+    rigid, spring = joint[0] == RIGID, joint[0] == SPRING
+    of = times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states
     if rigid and lag == 0.0 and is_steady(substep, on):
-        _steady(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+        _run(GLIDE, RIGID, False, False, *of)
     elif rigid and lag == 0.0:
-        _body(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+        _run(SLIDE, RIGID, False, False, *of)
     elif rigid and not simple and not (remembers(on) or ends(on) or bristles(on) or lost[3] or lost[4]):
-        _open(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
-    elif rigid and simple and not more:
-        _one(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+        _run(STEP, RIGID, False, True, *of)
     elif more or not simple:
-        _all(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+        _run(STEP, joint[0], True, True, *of)
+    elif rigid:
+        _run(STEP, RIGID, False, False, *of)
+    elif spring:
+        _run(STEP, SPRING, False, False, *of)
     else:
-        _two(times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states)
+        _run(STEP, PLAY, False, False, *of)
