@@ -69,7 +69,7 @@ class Bench:
         self._opened_s = self.clock.now_s()
         transport.open()
         if not transport.lock_step:
-            cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
+            cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile)
         self._guardian: Guardian | None = None
         self._guarded: Way | None = None
         self._by_hand: Hand | None = None
