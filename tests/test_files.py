@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
@@ -290,12 +292,43 @@ def test_identify_and_simulate_say_what_they_left_out() -> None:
         assert "the last line, which is cut off in its middle" in result.stdout
 
 
-def test_identify_takes_what_is_enough_of_a_very_long_log_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 100)
-    done("run", "e.toml", "--log", "log.csv")
-    result = fiohost("identify", "log.csv", "--from", "duty")
+def test_identify_takes_stretches_of_a_very_long_log_from_all_of_it_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A motor whose gain falls by a third in mid-log: its first rows alone would know nothing of it."""
+    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 2000)
+    rng = np.random.default_rng(1)
+    duty = np.repeat(rng.uniform(-60.0, 60.0, 120), 100)
+    speed, rows = 0.0, []
+    for k, u in enumerate(duty):
+        rows.append(f"{0.005 * k:.3f},{u:.2f},{speed:.4f}")
+        speed += (1.0 - math.exp(-0.005 / 0.08)) * ((9.0 if k < 6000 else 6.0) * round(u, 2) - speed)
+    head = "# schema: fiohost.log/1\n# sample_time_s: 0.005\n# begins: at rest\ntime_s,duty_pct,speed_deg_s\n"
+    Path("long.csv").write_text(head + "\n".join(rows) + "\n")
+    result = fiohost("identify", "long.csv", "--json", "found.json")
     assert result.exit_code == 0, result.output
-    assert "all after the first 100 of 120 rows (0.495 s)" in result.stdout
+    assert "all but 10 stretches of 200 rows, spread evenly over its 12000 rows" in result.stdout
+    told = json.loads(Path("found.json").read_text())
+    assert told["used"] == {"long.csv": {"rows": 12000, "rows_fitted": 2000}}
+    assert told["logs"] == ["long.csv"]
+    assert any("10 stretches" in note for note in told["dropped"]["long.csv"])
+    assert 6.9 < told["parameters"]["gain_deg_s_per_pct"]["value"] < 8.1
+
+
+def test_a_stretch_whose_duty_is_at_its_limit_throughout_is_left_out_with_a_note(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done("run", "square_170_190", "--log", "log.csv")
+    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 3000)
+    monkeypatch.setattr("fiohost.cli.identify.STRETCHES", 2)
+    lines = Path("log.csv").read_text().splitlines(keepends=True)
+    at = next(k for k, line in enumerate(lines) if line.startswith("time_s")) + 1
+    full = [line.split(",") for line in lines[at : at + 1500]]
+    lines[at : at + 1500] = [",".join([fields[0], "100", *fields[2:]]) for fields in full]
+    Path("full.csv").write_text("".join(line for line in lines if not line.startswith("# end:")))
+    result = fiohost("identify", "full.csv")
+    assert result.exit_code == 0, result.output
+    assert "left out, 1 of 2 records: full.csv: the duty is at its limit" in result.stdout
 
 
 def test_an_output_of_one_run_may_be_read_by_the_same_command() -> None:
