@@ -331,6 +331,30 @@ def test_a_stretch_whose_duty_is_at_its_limit_throughout_is_left_out_with_a_note
     assert "left out, 1 of 2 records: full.csv: the duty is at its limit" in result.stdout
 
 
+def test_names_of_a_foreign_table_are_cut_in_what_is_said_and_shown_escaped() -> None:
+    long = "c" * 60_000
+    rows = "".join(
+        f"{0.01 * k:.2f},{30 * math.sin(k / 20):.3f},{90 * math.sin(k / 20 - 0.3):.3f},{k}\n" for k in range(600)
+    )
+    for name, most in ((long, 3000), ("x\x1b[31my", 1500)):
+        Path("t.csv").write_text(f"time (s),duty (%),speed (deg/s),{name}\n{rows}")
+        result = fiohost("import", "t.csv", "-o", "o.csv", "--force")
+        assert result.exit_code == 0, result.output
+        assert "not used: " in result.output
+        assert len(result.stdout) < most
+        assert "\x1b" not in result.stdout
+        assert len(Log.read("o.csv")) == 600  # the head of what was made can be read
+        refused("import", "t.csv", "--measured", long, "-o", "o.csv", "--force")
+
+
+def test_a_long_argument_is_cut_where_the_syntax_is_wrong() -> None:
+    long = "n" * 60_000
+    for words in (["plants", long], ["run", f"--{long}"], [long], ["manual", "--pwm", "1", f"--{long}=2"]):
+        result = fiohost(*words)
+        assert result.exit_code == 2
+        assert len(result.output) < 3000
+
+
 def test_an_output_of_one_run_may_be_read_by_the_same_command() -> None:
     with files.command():
         writer = LogWriter("x.csv", {"counts_per_rev": "720", "sample_time_s": "0.005"})

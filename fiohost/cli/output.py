@@ -60,7 +60,8 @@ class Output:
 
     def __call__(self, text: str = "", *, styled: bool = False) -> None:
         """Print one line. *styled*: its colours are this program's own, and it holds no name of anybody else's."""
-        click.echo(files.escaped(text, styled=styled), file=self.stream)
+        lines = files.escaped(text, styled=styled).split("\n")
+        click.echo("\n".join(map(files.shortened, lines)), file=self.stream)
 
     @property
     def console(self) -> Console:
