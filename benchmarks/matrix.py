@@ -82,7 +82,8 @@ def interpreter_of(version: str, **user: Any) -> str | None:
     found = [*map(shutil.which, names), *sorted(map(str, kept.glob(f"{version}.*/bin/python{version}")))]
     for candidate in filter(None, found):
         with suppress(OSError):
-            if not subprocess.run([candidate, "-c", "import ensurepip"], capture_output=True, cwd="/", **user).returncode:
+            tried = [candidate, "-c", "import ensurepip"]
+            if not subprocess.run(tried, capture_output=True, cwd="/", **user).returncode:
                 return candidate
     return None
 

@@ -58,7 +58,8 @@ class PtyBoard:
         self._mangle, self._once_driven = mangle, once_driven
         self.commands: list[Command] = []
         self.steps = self.pos = self.driven = 0
-        self.ended_s = 0.0
+        self.ended_s = self._stepped_s = 0.0
+        self._in_own_time = False  # then it makes up for no step that this computer delayed
         self.runs_away = runs_away
         self.line = PtyLine(link)
         self._ended = threading.Event()
@@ -76,6 +77,9 @@ class PtyBoard:
             sent = self._once_driven(self.driven, sent)
         if self.runs_away or (self.commands and self.commands[-1].compare and self.commands[-1].c3):
             self.pos = (self.pos + 5) % 720
+        if self._in_own_time:
+            time.sleep(max(0.0, self._stepped_s + self.step_s - time.monotonic()))
+            self._stepped_s = time.monotonic()
         self.steps += 1
         return sent
 
@@ -85,7 +89,12 @@ class PtyBoard:
 
     def bench(self, silence_s: float = 10.0, **options: Any) -> Bench:
         profile = patient("serial-documented", silence_s=silence_s)
-        return Bench(SerialTransport(self.target), profile, clock=StepClock(self), **options)
+        return Bench(SerialTransport(self.target), profile, clock=self.clock(), **options)
+
+    def clock(self) -> StepClock:
+        """Its own time, for a host in this process; from now on it keeps no other."""
+        self._in_own_time = True
+        return StepClock(self)
 
     @property
     def braked(self) -> bool:

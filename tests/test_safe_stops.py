@@ -196,7 +196,7 @@ def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Pat
     arguments = [
         *DRIVE,
         "--duration",
-        "0.5",
+        "5",
         "--log",
         "run.csv",
         "--target",
@@ -255,7 +255,7 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
         line.fails = fails
 
     with pytest.raises(RuntimeError, match=r"the (reader|writer) died") as caught:  # noqa: SIM117 (the bench opens within)
-        with Bench(line, patient("serial-documented")) as bench:
+        with Bench(line, patient("serial-documented"), clock=board.clock()) as bench:
             bench.drive(40.0, 5.0, tmp_path / "run.csv", progress=break_it, progress_every_s=0.3)
     assert board.ends_braked  # by the guardian, where the host cannot write
     assert any("MAY BE RUNNING" in note for note in caught.value.__notes__)  # who does not read does not know
@@ -288,7 +288,8 @@ def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
 
 
 def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyBoard) -> None:
-    with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
+    profile = patient("serial-documented", braked_deg_s=600.0)
+    with Bench(SerialTransport(board.target), profile, clock=board.clock()) as bench:
         board.runs_away = True
         assert len(bench.drive(0.0, 1.0)) > 0
 

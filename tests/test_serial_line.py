@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from boards import HANG_S, until
 from click.testing import CliRunner
-from lines import BRAKE, PtyBoard, StepClock, patient
+from lines import BRAKE, PtyBoard, patient
 
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench, Tick
@@ -160,7 +160,7 @@ def test_a_board_of_another_rate_is_refused_with_its_rate(step_s: float, repeats
 
 def test_a_slow_board_runs_with_a_profile_that_says_so() -> None:
     profile = replace(patient("serial-documented"), sample_time_s=0.02)
-    with PtyBoard(step_s=0.02) as board, Bench(SerialTransport(board.target), profile, clock=StepClock(board)) as bench:
+    with PtyBoard(step_s=0.02) as board, Bench(SerialTransport(board.target), profile, clock=board.clock()) as bench:
         log = bench.drive(40.0, 1.6)
     assert log.sample_time_s == pytest.approx(0.02)
 
