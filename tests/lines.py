@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import threading
 import time
 from collections import deque
@@ -61,6 +62,7 @@ class PtyBoard:
         self.ended_s = self._stepped_s = 0.0
         self._in_own_time = False  # then it makes up for no step that this computer delayed
         self.runs_away = runs_away
+        self.hosts: list[subprocess.Popen[str]] = []  # ended with it: no failed test leaves one behind
         self.line = PtyLine(link)
         self._ended = threading.Event()
         kept = {"step_s": step_s, "repeats": repeats, "stop": self._ended.is_set}
@@ -133,6 +135,10 @@ class PtyBoard:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for host in self.hosts:
+            if host.poll() is None:
+                host.kill()
+            host.wait()
         self.unplug()
 
 

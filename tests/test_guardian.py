@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,7 +40,7 @@ def braked(board: PtyBoard) -> None:
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSEGV", "SIGABRT"])
 def test_a_host_that_is_killed_or_crashes(board: PtyBoard, tmp_path: Path, name: str) -> None:
-    host = Host(board, tmp_path, *RUN, gap_s=GAP_S)
+    host = Host(board, tmp_path, *RUN)
     host.drives()
     os.kill(host.process.pid, getattr(signal, name))
     assert host.process.wait(LIMIT_S) == -getattr(signal, name)
@@ -54,17 +53,21 @@ def test_a_host_that_is_killed_or_crashes(board: PtyBoard, tmp_path: Path, name:
         assert len(bench.drive(0.0, 1.0)) > 0
 
 
+def is_driven(board: PtyBoard) -> bool:
+    return any(command.compare for command in list(board.commands))
+
+
 def in_step(what: str) -> str:
-    """A host whose program does that at its hundredth tick."""
+    """A host whose program does that once it has driven."""
     return (
         "import ctypes, os, time\nfrom fiohost.bench.program import OpenLoop\nstep = OpenLoop.step\n"
-        f"def late(self, k, angle):\n    if k >= 100:\n        {what}\n    return step(self, k, angle)\n"
+        f"def late(self, k, angle):\n    if k >= 1:\n        {what}\n    return step(self, k, angle)\n"
         f"OpenLoop.step = late\n{MAIN}"
     )
 
 
 def test_a_controller_that_ends_the_process(board: PtyBoard, tmp_path: Path) -> None:
-    host = Host(board, tmp_path, *RUN, gap_s=GAP_S, code=in_step("os._exit(7)"))
+    host = Host(board, tmp_path, *RUN, code=in_step("os._exit(7)"))
     assert host.process.wait(LIMIT_S) == 7
     assert board.commands
     braked(board)
@@ -80,9 +83,10 @@ def test_a_controller_that_never_comes_back_is_ended(board: PtyBoard, tmp_path: 
 
 def test_a_controller_that_never_comes_back_from_c(board: PtyBoard, tmp_path: Path) -> None:
     """It holds the interpreter: no signal is heard, no thread runs. The guardian brakes, the rest is kill -9."""
-    host = Host(board, tmp_path, *RUN, gap_s=GAP_S, code=in_step("ctypes.PyDLL(None).pause()"))
+    deadlock = "lock, one = ctypes.PyDLL(None).pthread_mutex_lock, bytes(64); lock(one); lock(one)"
+    host = Host(board, tmp_path, *RUN, gap_s=GAP_S, code=in_step(deadlock))
     try:
-        host.drives()
+        until(lambda: is_driven(board))
         braked(board)
         assert host.process.poll() is None
     finally:
@@ -92,7 +96,7 @@ def test_a_controller_that_never_comes_back_from_c(board: PtyBoard, tmp_path: Pa
 
 def test_a_host_that_is_stopped_for_a_while(board: PtyBoard, tmp_path: Path) -> None:
     host = Host(board, tmp_path, *RUN, gap_s=GAP_S)
-    host.drives()
+    until(lambda: is_driven(board))
     host.process.send_signal(signal.SIGSTOP)
     braked(board)
     host.process.send_signal(signal.SIGCONT)
@@ -126,21 +130,19 @@ def test_sigterm_is_heard_while_the_disk_is_frozen(board: PtyBoard, tmp_path: Pa
 
 
 def test_a_reader_of_standard_error_who_stops_reading(board: PtyBoard, tmp_path: Path) -> None:
-    """The traffic in hex fills the pipe many times over."""
+    """The traffic in hex fills the pipe many times over: a loop that it held up would send no more."""
     read, write = os.pipe()
-    host = Host(board, tmp_path, "--debug", "manual", "--pwm", "40", "--duration", "8", "--log", "run.csv",
+    host = Host(board, tmp_path, "--debug", "manual", "--pwm", "40", "--log", "run.csv",
                 stdout=subprocess.DEVNULL, stderr=write)  # fmt: skip
     os.close(write)
-    deadline = time.monotonic() + 2 * LIMIT_S
-    while not host.log.exists() or "ending: complete" not in host.log.read_text():
-        assert time.monotonic() < deadline, "the loop is held up"
-        time.sleep(0.05)
-    assert board.braked
-    assert len(board.commands) > 500
+    until(lambda: len(board.commands) > 1500)
+    host.process.send_signal(signal.SIGTERM)
+    until(lambda: "ending: stopped by SIGTERM" in host.log.read_text())
+    assert board.ends_braked
     with os.fdopen(read, "rb") as reader:
         said = reader.read()
-    assert host.process.wait(LIMIT_S) == 0
-    assert len(said) > 70_000  # more than a pipe holds
+    assert host.process.wait(LIMIT_S) == 143
+    assert len(said) > 100_000  # more than a pipe holds
 
 
 def test_a_guardian_that_was_ended_is_missed(board: PtyBoard) -> None:

@@ -52,6 +52,7 @@ class Host:
         ]
         with self.errors.open("w") as errors:
             self.process = subprocess.Popen(command, cwd=folder, **{"stderr": errors, "text": True, **how})
+        board.hosts.append(self.process)
 
     def drives(self, rows: int = 50) -> None:
         """Wait until the motor has been driven for some rows of the log."""
