@@ -271,6 +271,9 @@ def test_umlauts_in_a_locale_without_them_end_no_command() -> None:
     assert said.returncode == 0, said.stderr
     assert json.loads(said.stdout)["log"] == "Prüf.csv"
     assert b"Traceback" not in said.stderr
+    command = [sys.executable, "-m", "fiohost", "identify", "Prüf.csv", "--from", "duty", "--json", "-"]
+    said = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert list(json.loads(said.stdout)["used"]) == ["Prüf.csv"]
 
 
 def test_a_name_with_dollar_signs_is_drawn_as_it_is() -> None:
