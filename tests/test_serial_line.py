@@ -208,10 +208,12 @@ def test_an_exception_in_a_controller_brakes_on_a_real_line() -> None:
         def step(self, k: int, angle_deg: float) -> None:
             raise ZeroDivisionError
 
+    before = set(threading.enumerate())
     with PtyBoard() as board:
         with pytest.raises(ZeroDivisionError), board.bench() as bench:
-            bench.play(Failing())  # type: ignore[arg-type]
+            bench.play(Failing(), progress=lambda tick: None)  # type: ignore[arg-type]
         assert board.ends_braked
+    until(lambda: set(threading.enumerate()) <= before)  # nobody is left waiting for ticks
 
 
 # ---- plugged in again ----------------------------------------------------------------------------------------------

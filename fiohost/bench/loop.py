@@ -259,6 +259,8 @@ class Bench:
             stop.check()  # a signal during the last brake is an end by signal too
         except BaseException as exc:
             self._close(writer, exc)
+            if watcher is not None:
+                watcher.leave()
             raise
         writer.close("complete", self.statistics.describe())
         if watcher is not None:
