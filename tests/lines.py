@@ -25,15 +25,14 @@ from firmware_model.serve import serve
 
 Mangle = Callable[[int, bytes], bytes]
 BRAKE = (0, 1, 1)  # compare value, C3, C4
+PATIENT = {"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0}  # guards of a host on a busy machine
 UNDER_WAY = 12  # more packets than ever wait before a board that takes one a step
 
 
 def patient(profile: str, **guards: float) -> TargetProfile:
     """A shipped profile for a host on a busy machine: it may be held up for long."""
     loaded = TargetProfile.load(profile)
-    return replace(
-        loaded, guards=loaded.guards.changed({"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0, **guards})
-    )
+    return replace(loaded, guards=loaded.guards.changed({**PATIENT, **guards}))
 
 
 class PtyBoard:
