@@ -222,8 +222,8 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
 
 
 def test_a_board_that_goes_silent_leaves_no_traceback(tmp_path: Path) -> None:
-    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}",
-                                      *(f"--guard={key}={value}" for key, value in PATIENT.items())) as run:  # fmt: skip
+    guards = [f"--guard={key}={value}" for key, value in PATIENT.items()]
+    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}", *guards) as run:
         run.until(run.braked)
         board.unplug()
         assert run.process.wait(HANG_S) == 1
