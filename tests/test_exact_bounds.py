@@ -155,6 +155,11 @@ def test_a_multisine_reaches_its_peak_and_is_the_sum_that_its_seed_draws() -> No
     np.testing.assert_allclose(told[inside] / wanted[inside], (told[0] / wanted[0]), rtol=1e-6)
 
 
+def test_the_lines_of_a_multisine_are_multiples_of_one_over_its_period() -> None:
+    made = Multisine(duration_s=4.0, amplitude=1.0, low_hz=0.5, high_hz=2.0, period_s=4.0, count=3)
+    assert made.frequencies_hz().tolist() == [0.5, 1.0, 2.0]
+
+
 def test_a_table_has_lines_as_long_as_is_said(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     for more, is_read in ((0, True), (1, False)):
