@@ -13,9 +13,10 @@ from boards import rows_of, until
 from lines import PtyBoard, patient
 from test_safe_stops import LIMIT_S, MAIN, ROOT, STEP_40, Host
 
+from fiohost.bench.guardian import Guardian
 from fiohost.bench.log import Log
 from fiohost.bench.program import Answer, Hold
-from fiohost.errors import HostError
+from fiohost.errors import HostError, TransportError
 from fiohost.wire.messages import Command
 
 GAP_S = 2.0  # of a machine that has much to do
@@ -145,6 +146,24 @@ def test_a_reader_of_standard_error_who_stops_reading(board: PtyBoard, tmp_path:
     assert len(said) > 100_000  # more than a pipe holds
 
 
+def test_a_guardian_is_told_whether_the_motor_was_braked(board: PtyBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it was, it has nothing to brake, and nobody has died."""
+    told = []
+    close = Guardian.close
+    monkeypatch.setattr(Guardian, "close", lambda self, braked=True: (told.append(braked), close(self, braked=braked)))
+    with board.bench():
+        pass
+    assert told == [True]
+
+    def fails(line: object) -> None:
+        raise TransportError("no brake")
+
+    monkeypatch.setattr("fiohost.bench.loop.brake", fails)
+    with pytest.raises(TransportError, match="no brake"), board.bench():
+        pass
+    assert told == [True, False]
+
+
 def test_a_guardian_that_was_ended_is_missed(board: PtyBoard) -> None:
     with board.bench() as bench:
         assert bench._guardian is not None
@@ -178,7 +197,6 @@ def test_a_guardian_that_was_stopped_is_missed_after_the_longest_gap(board: PtyB
 
 def test_a_guardian_brakes_a_node_and_with_numbers_of_its_own(tmp_path: Path) -> None:
     """A hidraw node is opened anew, each report behind its prefix; numbered commands are spread over all numbers."""
-    from fiohost.bench.guardian import Guardian
     from fiohost.transport.base import Transport, Way
 
     node = tmp_path / "node"
