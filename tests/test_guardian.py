@@ -136,7 +136,12 @@ def test_a_reader_of_standard_error_who_stops_reading(board: PtyBoard, tmp_path:
     host = Host(board, tmp_path, "--debug", "manual", "--pwm", "40", "--log", "run.csv",
                 stdout=subprocess.DEVNULL, stderr=write)  # fmt: skip
     os.close(write)
-    until(lambda: len(board.commands) > 1500)
+
+    def has_sent_enough() -> bool:
+        assert host.process.poll() is None, os.read(read, 1 << 16)[-3000:]
+        return len(board.commands) > 1500
+
+    until(has_sent_enough)
     host.process.send_signal(signal.SIGTERM)
     until(lambda: "ending: stopped by SIGTERM" in host.log.read_text())
     assert board.ends_braked

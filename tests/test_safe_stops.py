@@ -268,8 +268,8 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
 
 def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path: Path) -> None:
     """The brake was sent, and telemetry says that nobody heeded it."""
-    host = Host(board, tmp_path, *DRIVE, "--duration", "1", "--log", "run.csv", stdout=subprocess.PIPE)
-    host.drives()
+    host = Host(board, tmp_path, *DRIVE, "--duration", "5", "--log", "run.csv", stdout=subprocess.PIPE)
+    host.drives(1)
     board.runs_away = True
     out, _ = host.process.communicate(timeout=LIMIT_S)
     assert host.process.returncode == 1
