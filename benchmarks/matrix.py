@@ -1,4 +1,5 @@
-"""The same checks under other circumstances: interpreters, old and new numpy, locales, homes, odd folders, no screen.
+"""The same checks under other circumstances: interpreters, old and new numpy, locales, homes, odd folders, an ordinary
+user, no screen.
 
     python benchmarks/matrix.py             all of it
     python benchmarks/matrix.py --sample    one of each kind, as the gate does
@@ -6,7 +7,8 @@
     python benchmarks/matrix.py --without 3.12 --without 3.13    on a computer that has them not
 
 Each row makes a virtual environment of its own, installs the checkout, and runs a log through run, check, identify,
-simulate and a plot. An interpreter that is not on this computer fails the run, unless it was named by ``--without``:
+simulate and a plot. In a folder that cannot be written the results go elsewhere, and a log there is refused. An
+interpreter that is not on this computer fails the run, unless it was named by ``--without``:
 what was not tried never passes for tried. The last line counts all three kinds.
 """
 
@@ -14,13 +16,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import pwd
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.11", "3.12", "3.13")
@@ -44,6 +49,8 @@ class Row:
     environment: dict[str, str | None] = field(default_factory=dict)  # None: not set at all
     folder: str = "plain"
     sampled: bool = False
+    ordinary: bool = False  # as a user who is not root, where root starts it
+    read_only: bool = False  # the folder
 
 
 ROWS = (
@@ -54,36 +61,58 @@ ROWS = (
     Row("a home that cannot be written", environment={"HOME": "/proc/nowhere", "XDG_CACHE_HOME": None}),
     Row("blanks and umlauts", folder="Prüf stand ü"),
     Row("no display", environment={"DISPLAY": None, "WAYLAND_DISPLAY": None, "MPLBACKEND": None}),
+    Row("an ordinary user without a home", environment={"HOME": "/nonexistent", "XDG_CACHE_HOME": None}, ordinary=True,
+        folder="theirs"),
+    Row("an ordinary user in a folder that cannot be written", ordinary=True, read_only=True, folder="shut",
+        sampled=True),
 )  # fmt: skip
 
 
-def interpreter_of(version: str) -> str | None:
-    """A Python of that version that starts: on the path, or one that pyenv has and has not chosen."""
+def _as(row: Row) -> dict[str, Any]:
+    """Arguments of subprocess for the row's user."""
+    if not row.ordinary or os.geteuid():
+        return {}
+    return {"user": "nobody", "group": pwd.getpwnam("nobody").pw_gid, "extra_groups": []}
+
+
+def interpreter_of(version: str, **user: Any) -> str | None:
+    """A Python of that version that starts: on the path, of the system, or one that pyenv has and has not chosen."""
     kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
-    found = [shutil.which(f"python{version}"), *sorted(map(str, kept.glob(f"{version}.*/bin/python{version}")))]
-    for candidate in found:
-        if candidate and not subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode:
-            return candidate
+    names = [f"python{version}", f"/usr/bin/python{version}", f"/usr/local/bin/python{version}"]
+    found = [*map(shutil.which, names), *sorted(map(str, kept.glob(f"{version}.*/bin/python{version}")))]
+    for candidate in filter(None, found):
+        with suppress(OSError):
+            tried = [candidate, "-c", "import ensurepip"]
+            if not subprocess.run(tried, capture_output=True, cwd="/", **user).returncode:
+                return candidate
     return None
 
 
-def commands(fiohost: list[str]) -> list[list[str]]:
+def commands(fiohost: list[str], to: Path | None) -> list[list[str]]:
+    """All of them; results go into the folder *to*, or where they are run."""
+
+    def out(name: str) -> str:
+        return name if to is None else str(to / name)
+
+    log, model = out("run.csv"), out("m.toml")
     return [
-        [*fiohost, "run", "e.toml", "--log", "run.csv", "--json", "run.json"],
-        [*fiohost, "check", "run.csv"],
-        [*fiohost, "identify", "run.csv", "--from", "duty", "--save-model", "m.toml", "--plot", "p.png", "--json", "-"],
-        [*fiohost, "simulate", "run.csv", "--model", "m.toml", "-o", "sim.csv"],
+        [*fiohost, "run", "e.toml", "--log", log, "--json", out("run.json")],
+        [*fiohost, "check", log],
+        [*fiohost, "identify", log, "--from", "duty", "--save-model", model, "--plot", out("p.png"), "--json", "-"],
+        [*fiohost, "simulate", log, "--model", model, "-o", out("sim.csv")],
         [*fiohost, "effects", "--brief"],
     ]
 
 
 def run(row: Row, work: Path) -> str:
     """What came of it: ``ok`` with seconds, ``ABSENT``, or the command that failed and its last words."""
-    interpreter = interpreter_of(row.python)
+    user = _as(row)
+    interpreter = interpreter_of(row.python, **user)
     if interpreter is None:
         return f"ABSENT: there is no python{row.python} on this computer"
     began = time.monotonic()
-    venv, folder = work / f"venv-{row.python}-{row.numpy}", work / row.folder
+    venv = work / f"venv-{row.python}-{row.numpy}{'-user' * bool(user)}"
+    folder = work / row.folder
     folder.mkdir(exist_ok=True)
     python = str(venv / "bin" / "python")
     if not venv.exists():
@@ -97,14 +126,29 @@ def run(row: Row, work: Path) -> str:
     environment = {k: v for k, v in os.environ.items() if k not in row.environment and not k.startswith("PYTHON")}
     environment |= {k: v for k, v in row.environment.items() if v is not None}
     (folder / "e.toml").write_text(STEP)
-    for command in commands([python, "-m", "fiohost"]):
-        done = subprocess.run(
-            [*command, *(["--force"] if "effects" not in command else [])],
-            cwd=folder, env=environment, capture_output=True, timeout=LIMIT_S, check=False,
-        )  # fmt: skip
+    to = work / f"{row.folder}-results" if row.read_only else None
+    for place in (to, folder):
+        if place is not None:
+            place.mkdir(exist_ok=True)
+            place.chmod(0o777)
+    fiohost, how = [python, "-m", "fiohost"], {"cwd": folder, "env": environment, **user}
+
+    def wrong(command: list[str], code: int = 0) -> str:
+        words = [*command, *(["--force"] if "effects" not in command else [])]
+        done = subprocess.run(words, capture_output=True, timeout=LIMIT_S, check=False, **how)
         said = (done.stdout + done.stderr).decode(errors="replace")
-        if done.returncode or "Traceback" in said:
-            return f"FAILED: fiohost {command[3]}: exit {done.returncode}: {said.strip()[-300:]}"
+        if done.returncode == code and "Traceback" not in said:
+            return ""
+        return f"FAILED: fiohost {command[3]}: exit {done.returncode}: {said.strip()[-300:]}"
+
+    failed = ""
+    if row.read_only:
+        folder.chmod(0o555)
+        failed = wrong([*fiohost, "run", "e.toml", "--log", "here.csv"], 1)
+    for command in commands(fiohost, to):
+        failed = failed or wrong(command)
+    if failed:
+        return failed
     return f"ok in {time.monotonic() - began:.0f} s"
 
 
@@ -122,6 +166,7 @@ def main() -> int:
     counts = dict.fromkeys(KINDS, 0)
     unasked = 0
     with tempfile.TemporaryDirectory() as work:
+        Path(work).chmod(0o755)
         for row in rows:
             result = run(row, Path(work))
             kind = result.split()[0].rstrip(":")

@@ -41,8 +41,8 @@ PACKAGES = ("fiohost/wire", "fiohost/transport", "fiohost/bench")
 TESTS = (
     "api", "bench", "board", "cli_drive", "deadband_methods", "doctor", "edges", "exact_bounds", "exact_steps",
     "experiments", "faults", "framing", "front_door", "guardian", "hid_line", "in_hand", "instruments", "integrity",
-    "limits_hold", "lines", "log", "long_logs", "manual_keys", "motor_guard", "readings", "real_time", "safe_stops",
-    "serial_line", "served_board", "stop_keys", "time_convention", "trace", "wire",
+    "limits_hold", "lines", "log", "log_rows", "long_logs", "manual_keys", "motor_guard", "readings", "real_time",
+    "safe_stops", "serial_line", "served_board", "stop_keys", "table_log", "time_convention", "trace", "wire",
 )  # fmt: skip
 APART = {  # tests of files that run where coverage.py cannot look, or that only slow tests come by
     "fiohost/bench/guardian_process.py": "tests/test_guardian.py",

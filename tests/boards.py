@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fiohost.bench.loop import Bench
 from fiohost.transport.profile import TargetProfile
@@ -14,6 +16,15 @@ Receive = Callable[[int, bytes], bytes]
 # No wait that ends well is so long: only what hangs reaches it. A first run compiles, on a computer that may have much
 # else to do. What a test holds to be fast, it shows by what came first, never by this.
 HANG_S = 900.0
+
+
+def until(what: Callable[[], Any], limit_s: float = HANG_S) -> Any:
+    """Wait until *what* gives something true, and give that."""
+    deadline = time.monotonic() + limit_s
+    while not (found := what()):
+        assert time.monotonic() < deadline, "it did not come"
+        time.sleep(0.01)
+    return found
 
 
 class WatchedTransport(SimulatedTransport):

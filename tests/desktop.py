@@ -12,15 +12,13 @@ import re
 import shutil
 import signal
 import subprocess
-import time
 import urllib.request
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import pytest
-from boards import HANG_S
+from boards import until
 from tornado.websocket import websocket_connect
 
 
@@ -34,15 +32,6 @@ def needed(*programs: str) -> None:
         if os.environ.get("FIOHOST_NEEDS_DESKTOP"):
             pytest.fail(reason)
         pytest.skip(reason)
-
-
-def until(what: Callable[[], Any], limit_s: float = HANG_S) -> Any:
-    """Wait until *what* gives something true, and give that."""
-    deadline = time.monotonic() + limit_s
-    while not (found := what()):
-        assert time.monotonic() < deadline, "it did not come"
-        time.sleep(0.02)
-    return found
 
 
 class Screen:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
+from boards import until
+
+from fiohost.bench.clock import Clock
 from fiohost.bench.loop import Bench
 from fiohost.transport.profile import TargetProfile
 from fiohost.transport.serial import SerialTransport
@@ -20,18 +25,19 @@ from firmware_model.serve import serve
 
 Mangle = Callable[[int, bytes], bytes]
 BRAKE = (0, 1, 1)  # compare value, C3, C4
+PATIENT = {"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0}  # guards of a host on a busy machine
+UNDER_WAY = 12  # more packets than ever wait before a board that takes one a step
 
 
 def patient(profile: str, **guards: float) -> TargetProfile:
     """A shipped profile for a host on a busy machine: it may be held up for long."""
     loaded = TargetProfile.load(profile)
-    return replace(
-        loaded, guards=loaded.guards.changed({"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0, **guards})
-    )
+    return replace(loaded, guards=loaded.guards.changed({**PATIENT, **guards}))
 
 
 class PtyBoard:
-    """A board without a motor: its count goes on by 5 a step while it is driven forward. *mangle(k, packet)* is sent.
+    """A board without a motor: its count goes on by 5 a step while it is driven forward. *mangle(k, packet)* is sent,
+    and *once_driven(k, packet)* of the k-th step since it was first told to drive.
 
     ``commands`` are those it has taken, in their order. *runs_away*: whatever it is told, its motor runs.
     """
@@ -41,16 +47,21 @@ class PtyBoard:
         link: str | None = None,
         *,
         mangle: Mangle = lambda k, p: p,
+        once_driven: Mangle = lambda k, p: p,
         step_s: float = 0.005,
         repeats: int = 1,
         layout: str = "documented",
         runs_away: bool = False,
     ) -> None:
         self._form = make_format(layout)
-        self._mangle = mangle
+        self.step_s = step_s
+        self._mangle, self._once_driven = mangle, once_driven
         self.commands: list[Command] = []
-        self.steps = self.pos = 0
+        self.steps = self.pos = self.driven = 0
+        self.ended_s = self._stepped_s = 0.0
+        self._in_own_time = False  # then it makes up for no step that this computer delayed
         self.runs_away = runs_away
+        self.hosts: list[subprocess.Popen[str]] = []  # ended with it: no failed test leaves one behind
         self.line = PtyLine(link)
         self._ended = threading.Event()
         kept = {"step_s": step_s, "repeats": repeats, "stop": self._ended.is_set}
@@ -61,9 +72,15 @@ class PtyBoard:
         command = self._form.parse(packet) if packet is not None else None
         if command is not None:
             self.commands.append(command)
+        self.driven += bool(self.driven or (command is not None and command.compare))
         sent = self._mangle(self.steps, self._form.telemetry(0, self.pos))
+        if self.driven:
+            sent = self._once_driven(self.driven, sent)
         if self.runs_away or (self.commands and self.commands[-1].compare and self.commands[-1].c3):
             self.pos = (self.pos + 5) % 720
+        if self._in_own_time:
+            time.sleep(max(0.0, self._stepped_s + self.step_s - time.monotonic()))
+            self._stepped_s = time.monotonic()
         self.steps += 1
         return sent
 
@@ -72,21 +89,44 @@ class PtyBoard:
         return self.line.where
 
     def bench(self, silence_s: float = 10.0, **options: Any) -> Bench:
-        return Bench(SerialTransport(self.target), patient("serial-documented", silence_s=silence_s), **options)
+        profile = patient("serial-documented", silence_s=silence_s)
+        return Bench(SerialTransport(self.target), profile, clock=self.clock(), **options)
+
+    def clock(self) -> StepClock:
+        """Its own time, for a host in this process; from now on it keeps no other."""
+        self._in_own_time = True
+        return StepClock(self)
 
     @property
     def braked(self) -> bool:
         return bool(self.commands) and tuple(self.commands[-1]) == BRAKE
 
+    def takes_all(self) -> None:
+        """Wait until it has taken what was under way to it, and has been told nothing for some steps."""
+        last = -1
+        while last != (last := len(self.commands)):
+            then = self.steps + UNDER_WAY
+            until(lambda: self.steps >= then)  # noqa: B023 (waited for here)
+
+    @property
+    def ends_braked(self) -> bool:
+        """Once it has taken all that was sent."""
+        self.takes_all()
+        return self.braked
+
     def unplug(self) -> None:
-        self._ended.set()
+        self._end()
         self._thread.join()
         self.line.close()
 
     def hang_up(self) -> None:
         """Unplug from within a step: the line is gone before the next one."""
-        self._ended.set()
+        self._end()
         self.line.close()
+
+    def _end(self) -> None:
+        self.ended_s = self.ended_s or time.monotonic()
+        self._ended.set()
 
     def __enter__(self) -> PtyBoard:
         return self
@@ -94,7 +134,30 @@ class PtyBoard:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for host in self.hosts:
+            if host.poll() is None:
+                host.kill()
+            host.wait()
         self.unplug()
+
+
+class StepClock(Clock):
+    """Time as the board has it: its steps, and once it has gone the computer's. A computer that is slow slows this
+    clock too, so that what is held against the board's rate holds on any.
+    """
+
+    real = True
+
+    def __init__(self, board: PtyBoard) -> None:
+        self._board = board
+
+    def now_s(self) -> float:
+        gone_s = time.monotonic() - self._board.ended_s if self._board.ended_s else 0.0
+        return self._board.steps * self._board.step_s + gone_s
+
+    def wait_until(self, deadline_s: float) -> float:
+        until(lambda: self.now_s() >= deadline_s)
+        return self.now_s() - deadline_s
 
 
 class FakeHidapi:

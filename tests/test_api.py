@@ -216,3 +216,12 @@ def test_the_page_on_python_runs_as_it_stands(tmp_path: Path, monkeypatch: pytes
         exec(compile(block, str(page), "exec"), {})
     for name in ("own_controller.png", "diagnosis.html", "proof.png", "diagnosis.json"):
         assert (tmp_path / name).stat().st_size > 1000, name
+
+
+def test_bringing_the_shaft_to_rest_ends_driving_by_statements() -> None:
+    with fiohost.connect("sim") as b:
+        b.duty = 40
+        b.sleep(0.2)
+        b.settle()
+        assert b._by_hand is None
+        assert np.ptp(b.drive(0.0, 0.1).output) <= 0.5  # nobody drives on behind it

@@ -30,6 +30,7 @@ def test_both_methods_find_the_dry_friction_of_the_board(method: str) -> None:
     assert found.u_minus_pct == pytest.approx(-FRICTION_PCT, abs=0.15)
     assert found.as_dict()["method"] == method
     assert len(found.onsets) == 2 * 2 * 2
+    assert [o.place_deg for o in found.onsets] == [0.0, 0.0, 180.0, 180.0] * 2
 
 
 def board_with(effect: str, tmp_path: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from boards import WatchedTransport, bench_on
 from lines import patient
 from test_real_time import HandClock, TimedBoard
 
+from fiohost.bench import deadband
 from fiohost.bench.limits import Limiter
+from fiohost.bench.line import Line
 from fiohost.bench.loop import Bench
+from fiohost.bench.rest import Shaft
 from fiohost.bench.signals import RandomSteps
 from fiohost.bench.unwrap import Unwrapper, unwrap_counts
 from fiohost.bench.writer import LogWriter
@@ -21,7 +25,7 @@ from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.transport.profile import Limits
+from fiohost.transport.profile import Limits, TargetProfile
 from fiohost.wire.messages import Command
 
 
@@ -93,3 +97,49 @@ def test_a_seed_may_be_the_smallest_and_the_largest_there_is(seed: int) -> None:
     values = steps.values(np.arange(0.0, 2.0, 0.005))
     assert len(np.unique(values)) > 5
     assert np.abs(values).max() <= 80.0
+
+
+def test_a_shaft_that_goes_to_and_fro_by_one_count_stands_and_by_two_it_does_not() -> None:
+    clock = HandClock()
+    with Bench(TimedBoard(clock), patient("hid-assumed"), clock=clock) as bench:
+        for counts, stands in ((1, True), (2, False)):
+            shaft = Shaft(bench._line)
+            for k in range(100):
+                shaft.note(k, counts * (k % 2))
+            assert shaft.stands == stands
+
+
+def test_reports_that_are_passed_over_are_counted_once_each() -> None:
+    clock = HandClock()
+    line = Line(TimedBoard(clock), patient("hid-assumed"), clock)
+    for _ in range(4):
+        clock.time_s += 0.0125  # two and a half steps of the board
+        line.tick()
+        assert line.statistics.passed_over == line.transport.passed_over
+    assert line.statistics.passed_over > 3
+
+
+def test_a_host_that_slept_does_not_hurry_through_the_ticks_of_that_time() -> None:
+    class Slept(HandClock):
+        late_s = 0.0
+
+        def wait_until(self, deadline_s: float) -> float:
+            self.time_s = max(self.time_s, deadline_s) + self.late_s
+            return self.late_s
+
+    clock = Slept()
+    line = Line(WatchedTransport(), TargetProfile.load(), clock)
+    line.transport.open()
+    for late_s, next_s in ((0.9, 0.005 + 0.005), (1.1, 0.91 + 1.1 + 0.005)):
+        clock.late_s = late_s
+        line.tick()
+        assert line._due_s == pytest.approx(next_s, abs=0.006), late_s
+        line._due_s = clock.time_s + 0.005
+
+
+def test_a_slow_ramp_begins_well_below_where_a_fast_one_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    onset = SimpleNamespace(duty_pct=-10.0)
+    monkeypatch.setattr(deadband, "_ramp", lambda *_: onset)
+    assert deadband._coarse(SimpleNamespace(), False, 100.0) == 6.0
+    onset.duty_pct = 1.0
+    assert deadband._coarse(SimpleNamespace(), True, 100.0) == 0.0

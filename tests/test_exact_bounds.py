@@ -72,7 +72,7 @@ def log(**metadata: Any) -> Log:
     [
         ("counts_per_rev", [2, 10**9], [1.5, 720.5, 10**9 + 1]),
         ("command_delay_ticks", [0, 10_000], [-1, 0.5, 10_001]),
-        ("pwm_hz", [0.0, 1e9], [-1e-300, 1.000001e9]),
+        ("pwm_hz", [0.0, 1e9], [-1e-300, 1e9 + 1]),
     ],
 )
 def test_numbers_in_a_logs_head(name: str, within: list[float], outside: list[float]) -> None:
@@ -153,6 +153,11 @@ def test_a_multisine_reaches_its_peak_and_is_the_sum_that_its_seed_draws() -> No
     inside = np.abs(told) < 9.9
     assert np.mean(inside) > 0.95  # nearly nothing is cut: the peak is that of the whole period
     np.testing.assert_allclose(told[inside] / wanted[inside], (told[0] / wanted[0]), rtol=1e-6)
+
+
+def test_the_lines_of_a_multisine_are_multiples_of_one_over_its_period() -> None:
+    made = Multisine(duration_s=4.0, amplitude=1.0, low_hz=0.5, high_hz=2.0, period_s=4.0, count=3)
+    assert made.frequencies_hz().tolist() == [0.5, 1.0, 2.0]
 
 
 def test_a_table_has_lines_as_long_as_is_said(tmp_path: Path) -> None:
@@ -280,6 +285,8 @@ def test_a_crc_is_that_of_the_catalogue_by_table_and_by_pythons_own() -> None:
 
 def test_what_nobody_says_of_a_log_and_a_target() -> None:
     assert log(counts_per_rev=1440).output_quantum == 0.25
+    silent = log()
+    assert (silent.pwm_hz, silent.bench_time_s, silent.duty_steps, silent.command_delay_ticks) == (0.0, 0.0, 0, 0)
     assert target().watchdog_s == 0.0
     assert ambiguous_steps(np.zeros(1), np.zeros(1), 0.005, 720).size == 0
     assert ambiguous_steps(np.array([0.0, 350.0]), np.array([0.0, 0.005]), 0.005, 720).tolist() == [0]

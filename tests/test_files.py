@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
@@ -269,6 +271,9 @@ def test_umlauts_in_a_locale_without_them_end_no_command() -> None:
     assert said.returncode == 0, said.stderr
     assert json.loads(said.stdout)["log"] == "Prüf.csv"
     assert b"Traceback" not in said.stderr
+    command = [sys.executable, "-m", "fiohost", "identify", "Prüf.csv", "--from", "duty", "--json", "-"]
+    said = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert list(json.loads(said.stdout)["used"]) == ["Prüf.csv"]
 
 
 def test_a_name_with_dollar_signs_is_drawn_as_it_is() -> None:
@@ -290,12 +295,67 @@ def test_identify_and_simulate_say_what_they_left_out() -> None:
         assert "the last line, which is cut off in its middle" in result.stdout
 
 
-def test_identify_takes_what_is_enough_of_a_very_long_log_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 100)
-    done("run", "e.toml", "--log", "log.csv")
-    result = fiohost("identify", "log.csv", "--from", "duty")
+def test_identify_takes_stretches_of_a_very_long_log_from_all_of_it_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A motor whose gain falls by a third in mid-log: its first rows alone would know nothing of it."""
+    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 2000)
+    rng = np.random.default_rng(1)
+    duty = np.repeat(rng.uniform(-60.0, 60.0, 120), 100)
+    speed, rows = 0.0, []
+    for k, u in enumerate(duty):
+        rows.append(f"{0.005 * k:.3f},{u:.2f},{speed:.4f}")
+        speed += (1.0 - math.exp(-0.005 / 0.08)) * ((9.0 if k < 6000 else 6.0) * round(u, 2) - speed)
+    head = "# schema: fiohost.log/1\n# sample_time_s: 0.005\n# begins: at rest\ntime_s,duty_pct,speed_deg_s\n"
+    Path("long.csv").write_text(head + "\n".join(rows) + "\n")
+    result = fiohost("identify", "long.csv", "--json", "found.json")
     assert result.exit_code == 0, result.output
-    assert "all after the first 100 of 120 rows (0.495 s)" in result.stdout
+    assert "all but 10 stretches of 200 rows, spread evenly over its 12000 rows" in result.stdout
+    told = json.loads(Path("found.json").read_text())
+    assert told["used"] == {"long.csv": {"rows": 12000, "rows_fitted": 2000}}
+    assert told["logs"] == ["long.csv"]
+    assert any("10 stretches" in note for note in told["dropped"]["long.csv"])
+    assert 6.9 < told["parameters"]["gain_deg_s_per_pct"]["value"] < 8.1
+
+
+def test_a_stretch_whose_duty_is_at_its_limit_throughout_is_left_out_with_a_note(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done("run", "square_170_190", "--log", "log.csv")
+    monkeypatch.setattr("fiohost.cli.identify.MOST_ROWS", 3000)
+    monkeypatch.setattr("fiohost.cli.identify.STRETCHES", 2)
+    lines = Path("log.csv").read_text().splitlines(keepends=True)
+    at = next(k for k, line in enumerate(lines) if line.startswith("time_s")) + 1
+    full = [line.split(",") for line in lines[at : at + 1500]]
+    lines[at : at + 1500] = [",".join([fields[0], "100", *fields[2:]]) for fields in full]
+    Path("full.csv").write_text("".join(line for line in lines if not line.startswith("# end:")))
+    result = fiohost("identify", "full.csv")
+    assert result.exit_code == 0, result.output
+    assert "left out, 1 of 2 records: full.csv: the duty is at its limit" in result.stdout
+
+
+def test_names_of_a_foreign_table_are_cut_in_what_is_said_and_shown_escaped() -> None:
+    long = "c" * 60_000
+    rows = "".join(
+        f"{0.01 * k:.2f},{30 * math.sin(k / 20):.3f},{90 * math.sin(k / 20 - 0.3):.3f},{k}\n" for k in range(600)
+    )
+    for name, most in ((long, 3000), ("x\x1b[31my", 1500)):
+        Path("t.csv").write_text(f"time (s),duty (%),speed (deg/s),{name}\n{rows}")
+        result = fiohost("import", "t.csv", "-o", "o.csv", "--force")
+        assert result.exit_code == 0, result.output
+        assert "not used: " in result.output
+        assert len(result.stdout) < most
+        assert "\x1b" not in result.stdout
+        assert len(Log.read("o.csv")) == 600  # the head of what was made can be read
+        refused("import", "t.csv", "--measured", long, "-o", "o.csv", "--force")
+
+
+def test_a_long_argument_is_cut_where_the_syntax_is_wrong() -> None:
+    long = "n" * 60_000
+    for words in (["plants", long], ["run", f"--{long}"], [long], ["manual", "--pwm", "1", f"--{long}=2"]):
+        result = fiohost(*words)
+        assert result.exit_code == 2
+        assert len(result.output) < 3000
 
 
 def test_an_output_of_one_run_may_be_read_by_the_same_command() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from lines import PtyBoard
+from lines import PATIENT, PtyBoard
 
 from fiohost.bench.connect import connect
 from fiohost.bench.doctor import who
@@ -143,10 +143,10 @@ def test_a_damaged_answer_is_none() -> None:
 
 def test_a_board_that_knows_no_query_is_told_from_one_that_should() -> None:
     """The simulated board on a pty speaks the layout and passes the query over."""
-    with PtyBoard(layout="framed") as line, connect(f"serial-framed:{line.target}") as bench:
+    with PtyBoard(layout="framed") as line, connect(f"serial-framed:{line.target}", guards=PATIENT) as bench:
         assert list(who(bench)) == []
         assert bench.drive(20.0, 0.1).columns["pos"][-1] >= 0
-    with PtyBoard(layout="framed") as line, connect(f"uno:{line.target}") as bench:
+    with PtyBoard(layout="framed") as line, connect(f"uno:{line.target}", guards=PATIENT) as bench:
         (finding,) = who(bench)
     assert finding.level == "problem"
     assert "does not say who it is" in finding.what

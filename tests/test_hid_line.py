@@ -104,6 +104,16 @@ def test_an_empty_packet_behind_each_report_hides_none() -> None:
         assert board.receive(0.05) == b"\x05" * 64
 
 
+def test_two_empty_reads_say_that_nothing_waits() -> None:
+    """A third would be one system call more in each tick."""
+    module = FakeHidapi(info())
+    with line(module) as board:
+        module.script.append(b"\x01" * 64)
+        module.queue.extend([b"", b"", b"\x02" * 64])
+        assert board.receive(0.05) == b"\x01" * 64
+        assert list(module.queue) == [b"\x02" * 64]
+
+
 def test_a_first_read_that_is_empty_before_its_time_is_read_again() -> None:
     module = FakeHidapi(info())
     with line(module) as board:

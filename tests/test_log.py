@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,22 @@ def test_a_written_log_comes_back_with_its_numbers_and_metadata(tmp_path: Path) 
         "angle_deg", "deg", 0.5, "instant",
     )  # fmt: skip
     assert np.isnan(log.columns["ref_deg"][0])
+
+
+@pytest.mark.parametrize("behind", [True, False])
+def test_rows_of_a_real_board_are_written_by_a_thread_of_their_own(
+    behind: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that freezes must not hold up the loop; a simulated board waits for it."""
+    writers = []
+    write = LogWriter._write_row
+    monkeypatch.setattr(
+        LogWriter, "_write_row", lambda self, row: (writers.append(threading.current_thread()), write(self, row))[1]
+    )
+    writer = LogWriter(tmp_path / "run.csv", {}, behind=behind)
+    writer.row(0.0, 1.0, 1, 0, 5, 0)
+    writer.close()
+    assert [thread is threading.main_thread() for thread in writers] == [not behind]
 
 
 def test_a_log_that_was_never_closed_holds_every_row_written(tmp_path: Path) -> None:

@@ -88,6 +88,7 @@ def test_a_gap_is_judged_by_the_speeds_beside_it() -> None:
     assert judged([0, 300, 400], [0, 4, 5]) == [0]
     assert judged([0, 100, 400], [0, 1, 5]) == [1]
     assert judged([0, 300], [0, 4]) == []  # nobody knows a speed
+    assert judged([0, 0, 250, 250, 250], [0, 1, 3, 7, 8]) == []  # a gap says nothing of the speed in the next
     assert judged([0, 330], [0, 1]) == [0]
 
 

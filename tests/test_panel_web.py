@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from boards import HANG_S, rows_of
 from desktop import Chromium, needed
-from lines import PtyBoard
+from lines import PATIENT, PtyBoard
 from panel_runs import Run, arrives, drives, joins, press, refuses, running
 from test_cli_drive import FIOHOST, ROOT
 from tornado.httpclient import HTTPClientError, HTTPRequest
@@ -222,8 +222,8 @@ def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
 
 
 def test_a_board_that_goes_silent_leaves_no_traceback(tmp_path: Path) -> None:
-    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}",
-                                      "--guard", "gap_s=20") as run:  # fmt: skip
+    guards = [f"--guard={key}={value}" for key, value in PATIENT.items()]
+    with PtyBoard() as board, running("--web", "--port", "0", "--target", f"serial:{board.target}", *guards) as run:
         run.until(run.braked)
         board.unplug()
         assert run.process.wait(HANG_S) == 1

@@ -139,6 +139,31 @@ def test_a_late_host_is_not_taken_for_a_board_of_another_rate(monkeypatch: pytes
         bench.drive(0.0, 0.1)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.02])
+def test_pauses_of_a_line_are_not_taken_for_a_board_of_another_rate(
+    late_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What waited in it comes together, behind the first of it. Where the host is late then, the pause alone is seen:
+    every 10 ms, for a board that sends every 5 ms.
+    """
+    clock = HandClock()
+    board = TimedBoard(clock, kept=1000)
+    receive, calls, pause_s = board.receive, [0], 0.05 if late_s else 0.15
+
+    def paused(timeout_s: float) -> bytes:
+        calls[0] += 1
+        if calls[0] % 10 == 1:
+            clock.time_s += pause_s
+            board._next += 1
+            return bytes(64)
+        clock.time_s += late_s if calls[0] % 10 == 2 else 0.0
+        return receive(timeout_s)
+
+    monkeypatch.setattr(board, "receive", paused)
+    with bench_on(clock, board, late_pct=100.0) as bench:
+        bench.drive(0.0, 0.1)
+
+
 def test_a_board_of_another_rate_is_still_refused() -> None:
     clock = HandClock()
     for period_s, said in ((0.0136, "every 13.6 ms"), (0.0025, "every 2.5 ms")):

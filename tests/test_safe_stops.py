@@ -9,13 +9,12 @@ import signal
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
-from boards import HANG_S, WatchedTransport, bench_on, rows_of
+from boards import HANG_S, WatchedTransport, bench_on, rows_of, until
 from lines import BRAKE, PtyBoard, patient
 
 from fiohost.bench.log import Log
@@ -53,19 +52,21 @@ class Host:
         ]
         with self.errors.open("w") as errors:
             self.process = subprocess.Popen(command, cwd=folder, **{"stderr": errors, "text": True, **how})
+        board.hosts.append(self.process)
 
     def drives(self, rows: int = 50) -> None:
         """Wait until the motor has been driven for some rows of the log."""
-        deadline = time.monotonic() + LIMIT_S
-        while not self.log.exists() or len(rows_of(self.log)) < rows:
-            assert time.monotonic() < deadline, self.errors.read_text()
-            assert self.process.poll() is None, self.errors.read_text()
-            time.sleep(0.01)
+
+        def has_driven() -> bool:
+            assert self.process.poll() is None, self.said
+            return self.log.exists() and len(rows_of(self.log)) >= rows
+
+        until(has_driven)
 
     def ended(self) -> int:
         """Its exit code, once what must hold of every end has been seen: a brake, no traceback."""
         code = self.process.wait(LIMIT_S)
-        time.sleep(0.03)  # the board takes what is under way
+        self.board.takes_all()
         commands = [tuple(command) for command in self.board.commands]
         assert commands[0] == BRAKE
         assert FORWARD in commands
@@ -92,10 +93,10 @@ def _checkout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
 
 
-def whole(log: Path, ending: str) -> None:
+def whole(log: Path, ending: str, rows: int = 50) -> None:
     """All that was driven is in the log, nothing torn, and it says how it ended."""
     read = Log.read(log)
-    assert len(read) >= 50
+    assert len(read) >= rows
     assert not [note for note in read.dropped if "missing" not in note]  # a host that is late leaves out rows
     assert read.metadata["ending"].startswith(ending)
 
@@ -196,7 +197,7 @@ def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Pat
     arguments = [
         *DRIVE,
         "--duration",
-        "0.5",
+        "5",
         "--log",
         "run.csv",
         "--target",
@@ -204,8 +205,8 @@ def test_nobody_to_say_anything_to_from_the_start(board: PtyBoard, tmp_path: Pat
         *("--guard", "gap_s=20", "--guard", "silence_s=10", "--guard", "late_pct=100"),
     ]
     assert subprocess.run([*shell, *arguments], cwd=tmp_path, timeout=LIMIT_S, check=False).returncode == 0
-    whole(tmp_path / "run.csv", "complete")
-    assert board.braked
+    whole(tmp_path / "run.csv", "complete", rows=1)
+    assert board.ends_braked
 
 
 # ---- what reads or writes fails in a way that nobody foresaw -------------------------------------------------------
@@ -255,10 +256,9 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
         line.fails = fails
 
     with pytest.raises(RuntimeError, match=r"the (reader|writer) died") as caught:  # noqa: SIM117 (the bench opens within)
-        with Bench(line, patient("serial-documented")) as bench:
+        with Bench(line, patient("serial-documented"), clock=board.clock()) as bench:
             bench.drive(40.0, 5.0, tmp_path / "run.csv", progress=break_it, progress_every_s=0.3)
-    time.sleep(0.03)
-    assert board.braked  # by the guardian, where the host cannot write
+    assert board.ends_braked  # by the guardian, where the host cannot write
     assert any("MAY BE RUNNING" in note for note in caught.value.__notes__)  # who does not read does not know
     assert Log.read(tmp_path / "run.csv").metadata["ending"].startswith("stopped: RuntimeError: the ")
 
@@ -268,8 +268,8 @@ def test_reading_and_writing_that_fail_for_good_on_a_serial_line(fails: str, boa
 
 def test_a_board_that_ignores_the_brake_is_said_to_run(board: PtyBoard, tmp_path: Path) -> None:
     """The brake was sent, and telemetry says that nobody heeded it."""
-    host = Host(board, tmp_path, *DRIVE, "--duration", "1", "--log", "run.csv", stdout=subprocess.PIPE)
-    host.drives()
+    host = Host(board, tmp_path, *DRIVE, "--duration", "5", "--log", "run.csv", stdout=subprocess.PIPE)
+    host.drives(1)
     board.runs_away = True
     out, _ = host.process.communicate(timeout=LIMIT_S)
     assert host.process.returncode == 1
@@ -289,7 +289,8 @@ def test_a_board_that_runs_already_is_not_driven(tmp_path: Path) -> None:
 
 
 def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyBoard) -> None:
-    with Bench(SerialTransport(board.target), patient("serial-documented", braked_deg_s=600.0)) as bench:
+    profile = patient("serial-documented", braked_deg_s=600.0)
+    with Bench(SerialTransport(board.target), profile, clock=board.clock()) as bench:
         board.runs_away = True
         assert len(bench.drive(0.0, 1.0)) > 0
 
@@ -297,7 +298,7 @@ def test_a_braked_shaft_that_a_load_turns_slowly_is_no_running_motor(board: PtyB
 def test_a_board_that_comes_back_and_ignores_the_brake_is_not_said_to_be_braked(tmp_path: Path) -> None:
     link = str(tmp_path / "board")
     with PtyBoard(link) as gone:
-        host = Host(gone, tmp_path, *DRIVE, "--reconnect", "60", "--log", "run.csv", stdout=subprocess.DEVNULL)
+        host = Host(gone, tmp_path, *DRIVE, "--reconnect", f"{HANG_S:g}", "--log", "run.csv", stdout=subprocess.DEVNULL)
         host.drives()
         gone.unplug()
         with PtyBoard(link, runs_away=True):
@@ -315,13 +316,14 @@ def test_a_board_that_comes_back_is_braked_first_of_all_by_every_command_that_dr
 ) -> None:
     link = str(tmp_path / "board")
     with PtyBoard(link) as gone:
-        host = Host(gone, tmp_path, *command, "--reconnect", "60", "--log", "run.csv", stdout=subprocess.DEVNULL)
+        command = [*command, "--reconnect", f"{HANG_S:g}", "--log", "run.csv"]
+        host = Host(gone, tmp_path, *command, stdout=subprocess.DEVNULL)
         host.drives()
         gone.unplug()
-        time.sleep(0.1)
+        until(lambda: "waiting for the board to come back" in host.said)
         with PtyBoard(link) as back:
             code = host.process.wait(LIMIT_S)
-            time.sleep(0.03)
+            back.takes_all()
             assert {tuple(taken) for taken in back.commands} == {BRAKE}
     assert code == 1
     assert "THE MOTOR MAY BE RUNNING; waiting for the board to come back" in host.said

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import termios
 import threading
-import time
 import tty
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from boards import HANG_S, until
 from click.testing import CliRunner
 from lines import BRAKE, PtyBoard, patient
 
@@ -21,7 +22,7 @@ from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench, Tick
 from fiohost.bench.stop import Stopped
 from fiohost.cli.main import cli
-from fiohost.errors import ConfigError, DisconnectedError, TelemetryTimeoutError, TransportError
+from fiohost.errors import ConfigError, DisconnectedError, HostError, TelemetryTimeoutError, TransportError
 from fiohost.transport import serial as serial_line
 from fiohost.transport.serial import SerialTransport
 
@@ -30,9 +31,8 @@ def test_a_run_over_a_pty_begins_and_ends_braked_and_is_logged(tmp_path: Path) -
     with PtyBoard() as board:
         with board.bench() as bench:
             log = bench.drive(40.0, 2.0, tmp_path / "run.csv")
-        time.sleep(0.02)
+        assert board.ends_braked
         assert tuple(board.commands[0]) == BRAKE
-        assert board.braked
         assert (1440, 1, 0) in board.commands
     assert 5 < len(log) <= 401  # a host that is late leaves out rows
     assert log.time_s[-1] <= 2.0
@@ -43,12 +43,12 @@ def test_a_run_over_a_pty_begins_and_ends_braked_and_is_logged(tmp_path: Path) -
 
 def test_commands_do_not_heap_up_before_a_target_that_takes_one_a_step() -> None:
     """Five brakes sent at once would stay under way for ever: each later command would act five steps late."""
-    lags = []
+    lags = [99]
     with PtyBoard() as board, board.bench() as bench:
-        for _ in range(4):
+        while min(lags) > 2 and len(lags) < 50:  # a computer that is late makes a run's lag longer
             log = bench.drive(40.0, 0.6)
             lags.append(int(np.argmax(np.diff(log.output) > 0)))
-    assert min(lags) <= 2
+    assert min(lags) <= 2, lags
 
 
 def test_garbage_and_halves_of_packets_cost_no_more_than_themselves() -> None:
@@ -105,15 +105,16 @@ def test_a_port_gives_all_that_came_and_says_when_it_takes_nothing_or_hangs_up(
 
 def test_a_hang_up_in_mid_packet_is_a_board_that_went_away(tmp_path: Path) -> None:
     def mangle(k: int, packet: bytes) -> bytes:
-        if k == 120:
+        if k == 60:
             board.line.send(packet[:3])
             board.hang_up()
         return packet
 
-    board = PtyBoard(mangle=mangle)
+    board = PtyBoard(once_driven=mangle)
     with pytest.raises(DisconnectedError, match="unplugged or reset") as caught, board, board.bench() as bench:
         bench.drive(40.0, 30.0, tmp_path / "run.csv")
     assert any("MOTOR MAY BE RUNNING" in note for note in caught.value.__notes__)
+    assert not any("not back" in note for note in caught.value.__notes__)  # nobody has asked to wait for it
     log = Log.read(tmp_path / "run.csv")
     assert len(log) > 0
     assert log.dropped == () or "missing" in log.dropped[0]
@@ -121,27 +122,25 @@ def test_a_hang_up_in_mid_packet_is_a_board_that_went_away(tmp_path: Path) -> No
 
 def test_fifty_ms_of_silence_brake() -> None:
     def mangle(k: int, packet: bytes) -> bytes:
-        return packet if k < 120 else b""
+        return packet if k < 60 else b""
 
-    with PtyBoard(mangle=mangle) as board:
+    with PtyBoard(once_driven=mangle) as board:
         with pytest.raises(TelemetryTimeoutError), board.bench(silence_s=0.05) as bench:
             bench.drive(40.0, 30.0)
-        time.sleep(0.02)
-        assert board.braked
+        assert board.ends_braked
 
 
 def test_a_line_of_garbage_alone_is_as_good_as_silence() -> None:
-    with PtyBoard(mangle=lambda k, packet: packet if k < 120 else b"\x7e\x7e\x00\x01\x02") as board:
+    with PtyBoard(once_driven=lambda k, packet: packet if k < 60 else b"\x7e\x7e\x00\x01\x02") as board:
         with pytest.raises((TelemetryTimeoutError, TransportError)), board.bench(silence_s=0.05) as bench:
             bench.drive(40.0, 30.0)
-        time.sleep(0.05)
-        assert board.braked
+        assert board.ends_braked
 
 
 def test_a_board_that_says_nothing_is_refused_before_anything_is_driven() -> None:
     with PtyBoard(mangle=lambda k, packet: b"") as board:
         with pytest.raises(TelemetryTimeoutError, match="sends nothing"):
-            board.bench()
+            board.bench(silence_s=0.05)
         SerialTransport(board.target).open()  # the port is free again
         assert all(tuple(command) == BRAKE for command in board.commands)
 
@@ -149,21 +148,30 @@ def test_a_board_that_says_nothing_is_refused_before_anything_is_driven() -> Non
 @pytest.mark.parametrize(
     ("step_s", "repeats", "said"),
     [
-        (0.02, 1, r"every (1[6-9]|2\d)\b"),
-        (0.005, 2, r"every [123]\.\d"),
-        (0.01, 1, r"every ([89]|1\d)\b"),
-    ],  # of a busy machine
+        (0.02, 1, r"every (19|20|21)\b"),
+        (0.005, 2, r"every 2\.[456]"),
+        (0.01, 1, r"every (9\.[5-9]|10)"),
+    ],
 )
 def test_a_board_of_another_rate_is_refused_with_its_rate(step_s: float, repeats: int, said: str) -> None:
+    """Or, where this computer was too late too often to tell, a run that says so at its end."""
+    profile = patient("serial-documented", late_pct=1.0)
     with PtyBoard(step_s=step_s, repeats=repeats) as board:
-        with pytest.raises(TransportError, match=said), board.bench() as bench:
-            bench.drive(40.0, 1.0)
+        with (
+            pytest.raises((TransportError, HostError)) as caught,
+            Bench(SerialTransport(board.target), profile, clock=board.clock()) as bench,
+        ):
+            bench.drive(40.0, 10.0)
+        if isinstance(caught.value, HostError):
+            assert "because this computer was busy" in str(caught.value)
+            return
+        assert re.search(said, str(caught.value))
         assert all(tuple(command) == BRAKE for command in board.commands)
 
 
 def test_a_slow_board_runs_with_a_profile_that_says_so() -> None:
     profile = replace(patient("serial-documented"), sample_time_s=0.02)
-    with PtyBoard(step_s=0.02) as board, Bench(SerialTransport(board.target), profile) as bench:
+    with PtyBoard(step_s=0.02) as board, Bench(SerialTransport(board.target), profile, clock=board.clock()) as bench:
         log = bench.drive(40.0, 1.6)
     assert log.sample_time_s == pytest.approx(0.02)
 
@@ -183,13 +191,12 @@ def test_what_waited_in_the_port_before_it_was_opened_is_not_read() -> None:
         return packet[:3] + int(k % 720).to_bytes(2, "little") + packet[5:]
 
     with PtyBoard(mangle=mangle) as board:
-        while board.steps < 60:
-            time.sleep(0.01)
+        until(lambda: board.steps >= 60)
         before = board.steps
         with SerialTransport(board.target) as port:
-            data = port.receive(1.0)
+            data = port.receive(30.0)
             while len(data) < 14:
-                data += port.receive(1.0)
+                data += port.receive(30.0)
     begins = data.index(b"\x7e\x7e")
     assert int.from_bytes(data[begins + 3 : begins + 5], "little") >= before - 1
 
@@ -203,9 +210,8 @@ def test_signals_brake_on_a_real_line(name: str, code: int) -> None:
     with PtyBoard() as board:
         with pytest.raises(Stopped) as caught, board.bench() as bench:
             bench.drive(40.0, progress=knock, progress_every_s=0.05)
-        time.sleep(0.02)
         assert caught.value.exit_code == code
-        assert board.braked
+        assert board.ends_braked
 
 
 def test_an_exception_in_a_controller_brakes_on_a_real_line() -> None:
@@ -213,11 +219,12 @@ def test_an_exception_in_a_controller_brakes_on_a_real_line() -> None:
         def step(self, k: int, angle_deg: float) -> None:
             raise ZeroDivisionError
 
+    before = set(threading.enumerate())
     with PtyBoard() as board:
         with pytest.raises(ZeroDivisionError), board.bench() as bench:
-            bench.play(Failing())  # type: ignore[arg-type]
-        time.sleep(0.02)
-        assert board.braked
+            bench.play(Failing(), progress=lambda tick: None)  # type: ignore[arg-type]
+        assert board.ends_braked
+    until(lambda: set(threading.enumerate()) <= before)  # nobody is left waiting for ticks
 
 
 # ---- plugged in again ----------------------------------------------------------------------------------------------
@@ -232,10 +239,10 @@ def test_a_board_that_comes_back_is_braked_first_of_all(tmp_path: Path) -> None:
             boards[0].unplug()
             threading.Timer(0.3, lambda: boards.append(PtyBoard(link))).start()
 
-    with pytest.raises(DisconnectedError) as caught, boards[0].bench(reconnect_s=20.0) as bench:
+    with pytest.raises(DisconnectedError) as caught, boards[0].bench(reconnect_s=HANG_S) as bench:
         bench.drive(40.0, 30.0, progress=replug, progress_every_s=0.05)
     assert any("was braked first of all" in note for note in caught.value.__notes__)
-    time.sleep(0.02)
+    boards[1].takes_all()
     boards[1].unplug()
     assert boards[1].commands
     assert {tuple(command) for command in boards[1].commands} == {BRAKE}
@@ -248,13 +255,13 @@ def test_the_command_line_waits_for_a_board_and_says_what_came_of_it(
     boards: list[PtyBoard] = []
 
     def mangle(k: int, packet: bytes) -> bytes:
-        if k == 120:
+        if k == 60:
             boards[0].hang_up()
             threading.Timer(0.2, lambda: boards.append(PtyBoard(link))).start()
         return packet
 
-    boards.append(PtyBoard(link, mangle=mangle))
-    arguments = ["manual", "--pwm", "40", "--target", f"serial:{link}", "--reconnect", "20", "--json", "-"]
+    boards.append(PtyBoard(link, once_driven=mangle))
+    arguments = ["manual", "--pwm", "40", "--target", f"serial:{link}", "--reconnect", f"{HANG_S:g}", "--json", "-"]
     arguments += ["--guard", "gap_s=20", "--guard", "late_pct=100", "--guard", "silence_s=10"]
     answer = CliRunner().invoke(cli, arguments)
     for board in boards:
@@ -295,9 +302,8 @@ def test_a_usb_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPat
             ports[:] = [Port("/dev/other", "S2"), Port(second.target)]
             line.reopen()
             line.send(bytes.fromhex("7e7e 00000000 01 01 0303"))
-            line.receive(1.0)
-            time.sleep(0.02)
-        assert second.braked
+            line.receive(30.0)
+            until(lambda: second.braked)
         assert not first.commands
 
 
@@ -336,6 +342,6 @@ def test_dtr_and_rts_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     real = fcntl.ioctl
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
     with PtyBoard() as board, SerialTransport(board.target) as port:
-        port.receive(1.0)
+        port.receive(30.0)
     assert asked
     assert not {termios.TIOCMBIS, termios.TIOCMBIC, termios.TIOCMSET} & set(asked)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from boards import HANG_S, rows_of
+from lines import PATIENT
 
 from fiohost.bench.connect import connect
 from fiohost.bench.log import Log
@@ -24,7 +25,6 @@ from firmware_model.lines.node import NodeLine, PtyLine
 from firmware_model.serve import serve
 
 ROOT = Path(__file__).parent.parent
-PATIENT = {"gap_s": 20.0, "silence_s": 10.0, "late_pct": 100.0}  # a busy machine holds up the board's process too
 
 
 @contextmanager

@@ -6,12 +6,11 @@ import asyncio
 import os
 import pty
 import termios
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from boards import rows_of
+from boards import rows_of, until
 from lines import BRAKE, PtyBoard
 from test_safe_stops import LIMIT_S, ROOT, STEP_40, Host, own_terminal, whole
 from tornado.websocket import websocket_connect
@@ -79,11 +78,12 @@ def test_ctrl_z_brakes_in_whatever_drives(board: PtyBoard, tmp_path: Path, comma
     terminal, end = pty.openpty()
     host = Host(board, tmp_path, *command, preexec_fn=own_terminal(end), stdin=end, stdout=end)
     os.close(end)
-    deadline = time.monotonic() + LIMIT_S
-    while not any(sent.compare for sent in list(board.commands)):
-        assert time.monotonic() < deadline, host.said
+
+    def is_driven() -> bool:
         assert host.process.poll() is None, host.said
-        time.sleep(0.005)
+        return any(sent.compare for sent in list(board.commands))
+
+    until(is_driven)
     stopped_by_a_key(host, terminal)
 
 
@@ -111,7 +111,7 @@ def stopped_by_a_key(host: Host, terminal: int) -> None:
     """Press Ctrl-Z: the host ends, and after its last command to drive there are brakes alone."""
     os.write(terminal, b"\x1a")
     assert host.process.wait(LIMIT_S) == 148, host.said
-    time.sleep(0.03)
+    host.board.takes_all()
     sent = [tuple(one) for one in host.board.commands]
     last = max(k for k, one in enumerate(sent) if one[0])
     assert len(sent) > last + 2

@@ -397,3 +397,13 @@ def test_no_step_between_driving_commands_is_larger_than_the_slew_limit(asked: A
 
 def test_limits_are_errors_of_the_one_tree() -> None:
     assert issubclass(LimitError, FiohostError)
+
+
+def test_the_times_of_each_session_begin_at_0(tmp_path: Path) -> None:
+    writer = TraceWriter(tmp_path / "trace")
+    for begun_s in (100.0, 250.0):
+        writer.session({"lock_step": True}, begun_s)
+        writer.event(begun_s + 0.25, "in", b"\x01")
+    writer.close()
+    events = [json.loads(line) for line in (tmp_path / "trace").read_text().splitlines()]
+    assert [event["t"] for event in events if "t" in event] == [0.25, 0.25]

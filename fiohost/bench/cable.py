@@ -17,20 +17,22 @@ LISTEN_S = 0.05
 RETRY_S = 0.05
 RATE_TOLERANCE = 0.25
 RATE_STEPS = 100  # to be sure of a rate that looks wrong
+LATE_SHARE = 0.05  # a computer that is late more often than this cannot tell the rate of a board
 
 
-def greet(transport: Transport, brake: bytes, clock: Clock, watchdog_s: float) -> None:
+def greet(transport: Transport, brake: bytes, clock: Clock, profile: TargetProfile) -> None:
     """Brake what an earlier host may have left running, first of all, and wait for the board's first word.
 
     Raises TelemetryTimeoutError where it says nothing, after closing the line.
     """
-    if transport.can_reopen and not watchdog_s:
+    limit_s = max(START_LIMIT_S, profile.guards.silence_s)
+    if transport.can_reopen and not profile.watchdog_s:
         logger.warning(
             "the board has no watchdog: should this computer die or the cable be pulled in mid-run, the motor runs on"
         )
     try:
         transport.send(brake)
-        deadline_s = clock.now_s() + START_LIMIT_S
+        deadline_s = clock.now_s() + limit_s
         while True:
             try:
                 transport.receive(LISTEN_S)
@@ -38,7 +40,7 @@ def greet(transport: Transport, brake: bytes, clock: Clock, watchdog_s: float) -
             except TelemetryTimeoutError as exc:
                 if clock.now_s() > deadline_s:
                     raise TelemetryTimeoutError(
-                        f"{transport.name} is open but sends nothing for {START_LIMIT_S:g} s: is the board's program "
+                        f"{transport.name} is open but sends nothing for {limit_s:g} s: is the board's program "
                         "running, and is this the right port? 'fiohost sniff' shows what comes"
                     ) from exc
     except BaseException:
@@ -56,16 +58,18 @@ class Rate:
     def __init__(self, name: str, profile: TargetProfile) -> None:
         self._name, self._profile = name, profile
         self._last: tuple[float, int] | None = None  # None: the next interval says nothing
-        self._seconds, self._steps = 0.0, 0
+        self._seconds, self._steps, self._late = 0.0, 0, 0
 
-    def note(self, time_s: float, step: int, *, host_was_late: bool = False) -> None:
-        """A reading came, of that step of the board. Where this computer was late, neither the interval before nor the
-        one after it says anything of the board.
+    def note(self, time_s: float, step: int, *, host_was_late: bool = False, is_guess: bool = False) -> None:
+        """A reading came, of that step of the board. Where this computer was late, or the step is a guess of the clock,
+        neither the interval before nor the one after it says anything of the board.
         """
-        if self._last is not None and not host_was_late:
+        self._late += host_was_late
+        says_nothing = host_was_late or is_guess
+        if self._last is not None and not says_nothing:
             self._seconds += time_s - self._last[0]
             self._steps += step - self._last[1]
-        self._last = None if host_was_late else (time_s, step)
+        self._last = None if says_nothing else (time_s, step)
 
     def is_right(self) -> bool:
         """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
@@ -75,7 +79,7 @@ class Rate:
         step_s, wanted_s = self._seconds / steps, self._profile.sample_time_s
         if abs(step_s / wanted_s - 1.0) <= RATE_TOLERANCE:
             return True
-        if steps < RATE_STEPS:
+        if steps < RATE_STEPS or self._late > LATE_SHARE * steps:
             return False
         raise TransportError(
             f"{self._name} sends a report every {1e3 * step_s:.3g} ms, the profile {self._profile.name} says "

@@ -27,17 +27,21 @@ from fiohost.wire.messages import BRAKE_COMMAND
 
 logger = logging.getLogger("fiohost.bench")
 
-DEAF_LIMIT_S = 2.0  # without a sign of life of the guardian itself
+DEAF_LIMIT_S = 2.0  # without a sign of life of the guardian itself; longer where guards.gap_s is
 START_LIMIT_S = 20.0
 END_LIMIT_S = 2.0
+LAST_LIMIT_S = 20.0  # for its own brake, where nobody else could
 FRAMES = 16  # of a layout that numbers its commands: spread over all numbers
 
 
 class Guardian:
     """One guardian for one open line. A context of its use: :meth:`on_duty`."""
 
-    def __init__(self, process: subprocess.Popen[bytes], cells: memoryview, word: socket.socket) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], cells: memoryview, word: socket.socket, gap_s: float = 0.0
+    ) -> None:
         self._process, self._cells, self._word = process, cells, word
+        self._deaf_s = max(DEAF_LIMIT_S, gap_s)  # who lets the host stand still for so long lets its guardian too
         self._own_beat, self._heard_s = 0, time.monotonic()
         self._armed = False
 
@@ -78,7 +82,7 @@ class Guardian:
         finally:
             theirs.close()
             os.close(memory)
-        return cls(process, cells, ours)
+        return cls(process, cells, ours, profile.guards.gap_s)
 
     @contextmanager
     def on_duty(self) -> Iterator[None]:
@@ -108,11 +112,12 @@ class Guardian:
         return bool(self._cells[cell.STATE] == cell.TRIPPED)
 
     def answers(self, now_s: float) -> bool:
-        """Whether there was a sign of life of it within DEAF_LIMIT_S; to be asked often."""
+        """Whether it lives, and gave a sign of it within DEAF_LIMIT_S; to be asked often."""
         own_beat = self._cells[cell.OWN_BEAT]
         if own_beat != self._own_beat:
             self._own_beat, self._heard_s = own_beat, now_s
-        return now_s - self._heard_s <= DEAF_LIMIT_S
+            return True
+        return now_s - self._heard_s <= self._deaf_s and self._process.poll() is None
 
     @property
     def pid(self) -> int:
@@ -126,7 +131,7 @@ class Guardian:
             else:
                 self._word.shutdown(socket.SHUT_WR)
         try:
-            self._process.wait(END_LIMIT_S)
+            self._process.wait(END_LIMIT_S if braked else LAST_LIMIT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -40,6 +40,7 @@ class Line:
             f"no telemetry for {1e3 * self._silence_s:g} ms: the board stopped sending; check power and cable"
         )
         self.host_was_late = False  # in the last tick: not the board
+        self.steps_are_a_guess = False  # those up to the last reading: the clock was asked
         self.count_anew()
 
     def send(self, command: Command) -> None:
@@ -147,11 +148,13 @@ class Line:
     def _count_steps(self) -> None:
         """The board's step of the reading that has just come."""
         link, now_s = self.link, self.clock.now_s()
+        self.steps_are_a_guess = False
         if link.numbered:
             self.steps = self._steps_read + link.steps
         elif not self.transport.lock_step:
             self.steps += link.steps - 1
             since_s = now_s - self.read_s
-            if since_s > GAP_S:
+            self.steps_are_a_guess = since_s > GAP_S
+            if self.steps_are_a_guess:
                 self.steps = max(self.steps, self._steps_read + round(since_s / self.profile.sample_time_s))
         self._steps_read, self.read_s = self.steps, now_s

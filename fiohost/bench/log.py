@@ -164,13 +164,24 @@ class Log:
         log = cls(metadata, columns, path, sha256, tuple(notes))
         return cls(metadata, columns, path, sha256, (*notes, *log._doubts()))
 
-    def first(self, rows: int) -> Log:
-        """The log of the first *rows* rows, which says so; the log itself where it has no more."""
+    def stretches(self, rows: int, count: int) -> list[Log]:
+        """Logs of *rows* rows in all, *count* stretches spread evenly from the first row to the last; each says so. The
+        log itself where it has no more.
+        """
         if len(self) <= rows:
-            return self
-        note = f"all after the first {rows} of {len(self)} rows ({self.time_s[rows - 1]:g} s), which are enough"
-        columns = {name: values[:rows] for name, values in self.columns.items()}
-        return Log(self.metadata, columns, self.path, self.sha256, (*self.dropped, note))
+            return [self]
+        each = rows // count
+        note = f"all but {count} stretches of {each} rows, spread evenly over its {len(self)} rows"
+        return [
+            Log(
+                self.metadata if begin == 0 else {**self.metadata, "begins": "moving"},
+                {name: values[begin : begin + each].copy() for name, values in self.columns.items()},
+                self.path,
+                self.sha256,
+                (*self.dropped, note),
+            )
+            for begin in (k * (len(self) - each) // max(1, count - 1) for k in range(count))
+        ]
 
     # ---- what it says -----------------------------------------------------------------------------------------
 

@@ -69,7 +69,7 @@ class Bench:
         self._opened_s = self.clock.now_s()
         transport.open()
         if not transport.lock_step:
-            cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile.watchdog_s)
+            cable.greet(transport, self._line.link.encode(BRAKE_COMMAND), self.clock, profile)
         self._guardian: Guardian | None = None
         self._guarded: Way | None = None
         self._by_hand: Hand | None = None
@@ -259,6 +259,8 @@ class Bench:
             stop.check()  # a signal during the last brake is an end by signal too
         except BaseException as exc:
             self._close(writer, exc)
+            if watcher is not None:
+                watcher.leave()
             raise
         writer.close("complete", self.statistics.describe())
         if watcher is not None:

@@ -24,6 +24,10 @@ class Watcher:
             raise self._behind.problem
         self._behind.put(tick)
 
+    def leave(self) -> None:
+        """Show no more than what was handed on, and wait for nothing: the run has failed."""
+        self._behind.close(0.0)
+
     def close(self) -> None:
         """Wait until all is shown, however long that takes: the motor is braked. Raises what *progress* has raised."""
         self._behind.close()

@@ -10,12 +10,13 @@ import click
 
 from fiohost.cli.options import PATH, expanded, parse_number
 from fiohost.cli.output import Output, json_option, output_for
-from fiohost.files import claim
+from fiohost.files import claim, shown
 
 if TYPE_CHECKING:
     from fiohost.estimation.logs import Identification
 
 MOST_ROWS = 200_000  # of a log, some 17 minutes at 5 ms: two parameters need no more, and more takes long
+STRETCHES = 10  # of a longer log, each with many steps in it and all of its time among them
 NAMES = {
     "gain_deg_s_per_pct": "K",
     "tau_s": "tau",
@@ -70,15 +71,18 @@ def identify(
     from fiohost.estimation.logs import identify as run
     from fiohost.importing.automatic import understood
 
-    read = [log.first(MOST_ROWS) for log in read_logs(expanded(logs, "LOG"), table_map)]
+    whole = read_logs(expanded(logs, "LOG"), table_map)
+    rows = {str(log.path): len(log) for log in whole}
+    read = [stretch for log in whole for stretch in log.stretches(MOST_ROWS, STRETCHES)]
+    del whole
     found = run(read, method, fitted=fitted, kp_pct_per_deg=gain)
     _say(out, found)
-    for log in read:
+    for log in {log.path: log for log in read}.values():
         if understood(log):
-            out(f"note: {log.path}: {understood(log)}")
+            out(f"note: {shown(log.path)}: {understood(log)}")
     dropped = {str(log.path): list(log.dropped) for log in read if log.dropped}
     for name, notes in dropped.items():
-        out(f"note: {name}: left out or doubtful: {'; '.join(notes)}")
+        out(f"note: {shown(name)}: left out or doubtful: {'; '.join(notes)}")
     if save_model is not None:
         found.model.write(save_model, f"identified by {found.method} from {', '.join(str(log) for log in logs)}")
         out(f"model written to {save_model}")
@@ -91,7 +95,9 @@ def identify(
             plot_identification(f"Identification from {found.curves[0].name}", {label: found.curves[0]}), plot_to
         )
         out(f"plot: {plot_to}")
-    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model, "dropped": dropped})
+    fitted_rows = {name: sum(len(log) for log in read if str(log.path) == name) for name in rows}
+    used = {name: {"rows": rows[name], "rows_fitted": fitted_rows[name]} for name in rows}
+    out.json(found.to_json() | {"plot": plot_to, "model_file": save_model, "dropped": dropped, "used": used})
 
 
 def motor_text(found: Identification) -> str:

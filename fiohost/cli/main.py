@@ -116,6 +116,9 @@ class Commands(LazyCommands):
             _say(f"\n{exc}" if str(exc) else "\nstopped by Ctrl-C")
             _say_notes(exc)
             _leave(getattr(exc, "exit_code", 130))
+        except click.UsageError as exc:
+            text = files.shortened(files.escaped(exc.format_message()))
+            raise click.UsageError(text, exc.ctx) from exc
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except Exception as exc:

@@ -60,7 +60,8 @@ class Output:
 
     def __call__(self, text: str = "", *, styled: bool = False) -> None:
         """Print one line. *styled*: its colours are this program's own, and it holds no name of anybody else's."""
-        click.echo(files.escaped(text, styled=styled), file=self.stream)
+        lines = files.escaped(text, styled=styled).split("\n")
+        click.echo("\n".join(map(files.shortened, lines)), file=self.stream)
 
     @property
     def console(self) -> Console:
@@ -100,7 +101,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {plain(str(k)): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, set)):
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):  # numpy, without importing it

@@ -85,7 +85,7 @@ class Identification:
             "output_unit": self.output_unit,
             "rms": self.rms,
             **({"rms_deg": self.rms} if self.output_unit == "deg" else {}),
-            "logs": [curve.name for curve in self.curves],
+            "logs": list(dict.fromkeys(curve.name for curve in self.curves)),
             "steps": [_step_json(step) for step in self.steps],
             "notes": list(self.notes),
         }
@@ -196,7 +196,9 @@ def _by_steps(logs: Sequence[Log], kp: float) -> Identification:
         )
     if len(found) == 1:
         notes.append("one step alone has no spread: the intervals are without bound")
-    curves = [_replayed(log, mean[2], mean[3]) for log in logs]
+    linear, left_out = _loop_records(logs)
+    curves = [_curve(*of, respond(of[1], mean[3], mean[2])) for of in linear]
+    notes += left_out
     kept = {name: float(spread[i]) for i, name in enumerate((GAIN, TAU, ZETA, OMEGA)) if len(rows) > 1}
     return Identification("step", "reference", kp, parameters, *_errors(curves), curves, steps, kept, notes)
 
@@ -216,20 +218,10 @@ def _open_by_counts(steps: Sequence[LoopStep], kp: float) -> np.ndarray:
     return np.asarray(np.mean(halves, axis=0))
 
 
-def _replayed(log: Log, zeta: float, omega: float) -> Curve:
-    """The response of a second-order form to a log's reference, begun as the log begins."""
-    record, times = _loop_record(log)
-    return _curve(log, times, record, respond(record, omega, zeta))
-
-
 def _from_reference(logs: Sequence[Log], kp: float) -> Identification:
-    pieces = [_loop_record(log) for log in logs]
-    found = fit_second_order([record for record, _ in pieces])
-    curves = [
-        _curve(log, times, record, simulated)
-        for log, (record, times), simulated in zip(logs, pieces, found.simulated, strict=True)
-    ]
-    notes = []
+    linear, notes = _loop_records(logs)
+    found = fit_second_order([record for _, record, _ in linear])
+    curves = [_curve(*of, simulated) for of, simulated in zip(linear, found.simulated, strict=True)]
     if found.zeta >= 1.0:
         notes.append(f"zeta = {found.zeta:.3g}: the loop is not underdamped, K and tau are little determined by it")
     loop, cov = (found.zeta, found.omega_n_rad_s), found.covariance[np.ix_([1, 0], [1, 0])]
@@ -294,7 +286,20 @@ def _errors(curves: Sequence[Curve]) -> tuple[float, float]:
     return float(fit), float(np.sqrt(np.mean(left**2)))
 
 
-def _curve(log: Log, times: np.ndarray, record: LoopRecord, simulated: np.ndarray) -> Curve:
+def _loop_records(logs: Sequence[Log]) -> tuple[list[tuple[Log, LoopRecord, np.ndarray]], list[str]]:
+    """As :func:`_loop_record`, of each log that has one, and a note on the others. Raises DataError for none."""
+    found, refused = [], []
+    for log in logs:
+        try:
+            found.append((log, *_loop_record(log)))
+        except DataError as exc:
+            refused.append(exc)
+    if not found:
+        raise refused[0]
+    return found, [f"left out, {len(refused)} of {len(logs)} records: {exc}" for exc in refused[:1]]
+
+
+def _curve(log: Log, record: LoopRecord, times: np.ndarray, simulated: np.ndarray) -> Curve:
     seen = np.isfinite(record.y_deg)
     ref = record.ref_deg[seen]
     return Curve(log.path.name, times[seen], record.y_deg[seen], simulated[seen], ref)

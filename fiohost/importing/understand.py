@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fiohost.errors import ConfigError, DataError
+from fiohost.files import shortened
 from fiohost.importing import roles
 from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
@@ -30,6 +31,7 @@ from fiohost.settings import nearest
 BACKWARDS = 0.2  # share of strong forward command during which the motor turns backwards
 UNSIGNED_SHARE = 0.05  # of the rows with a negative command and a positive speed
 EVEN_ROWS, EVEN_STEP, EVEN_SHARE = 20, 0.3, 0.95  # rows, and of a step how far and how often it may differ
+MOST_SAID = 400  # characters of a sentence with names in it
 LIKELY = 2.5  # points by which an angle may be less sure than a speed and is still taken
 
 
@@ -113,7 +115,8 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
 
 def _done(raw: RawTable, table_map: TableMap | None, found: Found, answers: Answers) -> Understanding:
     form = f"{raw.rows} rows of {len(raw.columns)} columns; {raw.form}"
-    return Understanding(raw, table_map, (form, *found.lines), tuple(found.assumed), tuple(found.unknown), answers)
+    lines, assumed = ([shortened(line, MOST_SAID) for line in of] for of in ((form, *found.lines), found.assumed))
+    return Understanding(raw, table_map, tuple(lines), tuple(assumed), tuple(found.unknown), answers)
 
 
 def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found) -> Clock | None:
