@@ -79,9 +79,7 @@ def settle(line: Line, stop: StopSignals) -> bool:
         if reading is None:
             continue
         if real_line and line.clock.real and turn >= SILENT_TICKS:
-            rate.note(
-                line.read_s, line.steps, host_was_late=line.host_was_late, is_guess=line.steps_are_a_guess
-            )
+            rate.note(line.read_s, line.steps, host_was_late=line.host_was_late, is_guess=line.steps_are_a_guess)
         shaft.note(line.steps, reading.pos)
         quiet = quiet + 1 if reading.pos == last else 0
         last = reading.pos
