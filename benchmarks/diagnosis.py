@@ -74,6 +74,8 @@ def made(folder: Path, seconds: float, noisy: bool, seed: int) -> Path:
     hand = Hand(board, 0.0, rms_Nm, TORQUE_S, rng)
     steps = RandomSteps(duration_s=seconds, low=LEVELS[0], high=LEVELS[1], hold_min_s=0.2, hold_max_s=1.5, seed=seed)
     path = folder / f"{'noisy' if noisy else 'exact'}-{seconds:g}.csv"
+    if path.exists():  # of a length that was asked for before
+        return path
     line = SimulatedTransport(hand.step, "sim:drawn", "simulated", counts_per_rev=plant.counts_per_rev)
     with Bench(line, TargetProfile.load()) as bench:
         bench.run(Experiment("steps", [steps]), path)
