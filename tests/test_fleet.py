@@ -138,6 +138,19 @@ def test_a_process_that_is_killed_loses_nothing(line: Path, tmp_path: Path) -> N
     assert len(list((tmp_path / "out" / KEPT).glob("*.json"))) == 8
 
 
+def test_what_an_earlier_program_left_is_made_anew(line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    benches = find_benches(line)[:1]
+    monkeypatch.setattr("fiohost.fleet.run.SCHEMA", "fiohost.fleet_bench/0")
+    run_fleet(benches, tmp_path / "out", FIT)
+    said: list[str] = []
+    run_fleet(benches, tmp_path / "out", FIT, say=said.append)
+    assert len(said) == 1, said  # there already
+    monkeypatch.undo()
+    run_fleet(benches, tmp_path / "out", FIT, say=said.append)
+    assert len(said) == 2
+    assert said[1].endswith("fitted")
+
+
 def test_a_cluster_gives_the_same_and_a_worker_that_is_killed_loses_nothing(line: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     benches, killed = find_benches(line), []

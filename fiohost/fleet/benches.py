@@ -36,7 +36,7 @@ class Bench:
 
 
 def key_of(contents: Mapping[str, bytes], settings: str) -> str:
-    """What a result is of: files and settings. Another key, and it is made anew."""
+    """What a result is of: files and settings, the program's among them. Another key, and it is made anew."""
     digest = hashlib.sha256(settings.encode())
     for name, data in contents.items():
         digest.update(name.encode() + b"\0" + hashlib.sha256(data).digest())

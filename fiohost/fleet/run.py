@@ -18,7 +18,7 @@ from typing import Any
 from fiohost.errors import ConfigError, FiohostError
 from fiohost.files import make_folder
 from fiohost.fleet.benches import Bench, key_of
-from fiohost.fleet.work import Settings, work
+from fiohost.fleet.work import SCHEMA, Settings, work
 
 KEPT = "benches"
 # A bench whose worker is lost so often is what kills it: it is given up, and said.
@@ -47,7 +47,7 @@ def run_fleet(
     waiting: list[tuple[Bench, str]] = []
     for place, bench in enumerate(benches):
         try:
-            key = key_of(bench.contents(), settings.text)
+            key = key_of(bench.contents(), f"{SCHEMA} {settings.text}")
         except FiohostError as exc:
             results[bench.name] = {"bench": bench.name, "error": str(exc), "seconds": 0.0, "cpu_s": 0.0}
             continue
