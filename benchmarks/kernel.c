@@ -17,6 +17,7 @@
 #define LOOKS 80
 #define OPEN_GAP_S 1e-3
 #define SURE_S 1e-12
+#define SAME_TIME_S 1e-12
 #define ALIKE 1e-9
 #define N 4
 #define SHORT 0.5
@@ -221,7 +222,7 @@ static void advance(const Model *m, const Bodies *b, State *x, double duty, doub
 {
     bool released = false;
     double left = span;
-    for (int n = 0; n < MOST_STEPS && left > 0.0; n++) {
+    for (int n = 0; n < MOST_STEPS && left > SAME_TIME_S; n++) {
         Regime r = {.joined = b->kind == RIGID || (b->kind == PLAY && x->contact != 0.0), .volts = duty};
         Motion begin = {0.0, x->omega, x->amps, b->kind == RIGID ? 0.0 : x->theta - x->load_theta,
                         r.joined ? x->omega : x->load_omega};
@@ -346,7 +347,7 @@ void simulate(const Model *m, const double *at, long n, const double *acts, long
         while (now < at[k]) {
             bool changes = j < m_acts && acts[j] < at[k];
             double until = changes ? fmax(acts[j], now) : at[k];
-            if (until > now)
+            if (until - now > SAME_TIME_S)
                 advance(m, &b, &state, duties[j], until - now, substep, kept);
             now = until;
             if (changes)
