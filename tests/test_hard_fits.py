@@ -15,8 +15,9 @@ from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
-from fiohost.discover.optimise import unstuck
+from fiohost.discover.optimise import rough_fit, unstuck
 from fiohost.discover.result import to_json
+from fiohost.discover.screen import Screen
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
@@ -191,3 +192,22 @@ def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.
     truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
     diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
     assert ("coulomb_friction", "constant_load") in begun
+
+
+def test_a_springy_shaft_is_found_though_another_frequency_scores_more() -> None:
+    """Each trial begins as it is and grown to size, on either side of the spring: the right one may be the last."""
+    shaft = {
+        "linear.gain_deg_s_per_pct": 7.258,
+        "linear.tau_s": 0.0459,
+        "coulomb_friction.level_pct": 3.89,
+        "shaft_compliance.resonance_hz": 6.32,
+        "shaft_compliance.damping_ratio": 0.021,
+        "shaft_compliance.inertia_ratio": 0.298,
+    }
+    records = suite(truth_model(("coulomb_friction", "shaft_compliance"), shaft), 8)
+    base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
+    scored = Screen(base, records).score(effect("shaft_compliance"))
+    last = sorted(scored.trials, key=lambda t: -abs(float(t["resonance_hz"]) - 6.32))
+    assert float(last[3]["resonance_hz"]) > 7.0
+    found = rough_fit(base, replace(scored, trials=tuple(last), raw=()), records)
+    assert found.model.number("shaft_compliance.resonance_hz") == pytest.approx(6.32, rel=0.05)

@@ -84,7 +84,7 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
         trials = [*score.trials[:1], *score.raw[:1], *score.trials[1:]]
         trials = [t for i, t in enumerate(trials) if t not in trials[:i]][: OPTIMISER.window_starts]
     else:
-        trials = [*score.trials[: OPTIMISER.starts]]
+        trials = [*score.trials]
         looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
         trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[: OPTIMISER.raw_starts]]
     models = [base.model.with_effect(score.effect.name, t) for t in trials]

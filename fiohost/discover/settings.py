@@ -52,8 +52,8 @@ class LineSettings:
 class OptimiserSettings:
     """How a candidate is carried to its minimum."""
 
-    # Rough fits: from so many trials grown to size, from as many as the library has them, of windows in all.
-    starts: int = 4
+    # Rough fits begin from so many more trials as the library has them, those of least error; of windows from so many
+    # in all.
     raw_starts: int = 2
     window_starts: int = 3
     # Begun anew: from so many trials, on so much of all logs together and of each, with this lag.
