@@ -60,16 +60,21 @@ CASES = [
 def test_intervals_of_the_noise_hold_the_truth_on_nine_sets_of_ten() -> None:
     rng = np.random.default_rng(20261122)
     hits, total = dict.fromkeys(("sensor", "torque", "time"), 0), dict.fromkeys(("sensor", "torque", "time"), 0)
+    inside: list[float] = []
     for kind, quantum, sensor, torque_pct in CASES * 5:
         torque_s = float(rng.choice((0.1, 0.5)))
         motor = drawn_motor(rng, kind, quantum)
         found = estimate(grouped(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor), motor))
         told = {"sensor": (found.sensor, sensor), "torque": (found.torque_pct, torque_pct)}
         told |= {"time": (found.torque_s, torque_s)} if torque_pct else {}
+        assert found.likely is not None
+        for ranged, draws in zip((found.sensor, found.torque_pct, found.torque_s), found.likely.T, strict=True):
+            inside.append(float(np.mean((draws >= 0.99 * ranged.low) & (draws <= 1.01 * ranged.high))))
         for name, (ranged, truth) in told.items():
             total[name] += 1
             hits[name] += ranged.low <= truth + 1e-12 and truth <= ranged.high
     print({name: f"{hits[name]} of {total[name]}" for name in hits})
+    assert 0.9 < float(np.mean(inside)) < 0.99  # what bootstrap samples take is as wide as the intervals
     assert sum(hits.values()) >= 0.9 * sum(total.values()), (hits, total)
     assert all(hits[name] >= 0.8 * total[name] for name in hits), (hits, total)
 

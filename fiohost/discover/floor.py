@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.replica import other_runs, replica
+from fiohost.discover.replica import another_day, replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
@@ -94,7 +94,7 @@ def replica_errors(
         known = fitted.errors(records)
     return [
         errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
-        for r, s, e in zip(other_runs(records, rng), fitted.starts, known, strict=True)
+        for r, s, e in zip(another_day(records, rng), fitted.starts, known, strict=True)
     ]
 
 
@@ -106,7 +106,8 @@ def replica_floor(
 
     def draw(judged_by: Model) -> Judgement:
         """One replica judged, without its arrays: of a long record, those of all would fill the memory."""
-        found = judge(record, judged_by, replica(record, model, start, rng, residual), near=start)
+        (other,) = another_day([record], rng)
+        found = judge(record, judged_by, replica(other, model, start, rng, residual), near=start)
         return replace(found, simulated=none, free_residual=none, window_residual=none)
 
     draws = tuple(draw(m) for m in models)

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiohost.discover.levels import levels_of
 from fiohost.discover.metrics import Judgement, judge
-from fiohost.discover.replica import replica
+from fiohost.discover.replica import another_day, replica
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
 from fiohost.estimation.record import ANGLE, Record
@@ -256,32 +257,33 @@ def dependences(
 def ruled(
     records: Sequence[Record],
     models: Sequence[Model],
+    estimates: Sequence[Sequence[Model]],
     starts: Sequence[Start],
     rng: np.random.Generator,
     settings: SearchSettings = SETTINGS,
 ) -> bool:
     """Whether the torque that ``models`` (one a record) lack follows angle, speed or duty: a share of it that matters,
-    and more than the 99 % point of bootstrap samples with the records' noise. A random torque follows nothing but
-    itself, in time.
+    and more than the 99 % point of bootstrap samples with the records' noise, each judged by one of the ``estimates``
+    that samples give (one a record each). A random torque follows nothing but itself, in time.
     """
-    each_one = list(zip(records, models, starts, strict=True))
 
-    def lacking(data: Sequence[np.ndarray | None]) -> _Torque:
-        found = [judge(r, m, y, near=s) for (r, m, s), y in zip(each_one, data, strict=True)]
-        return _Torque.of(records, models[0], found)
+    def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> _Torque:
+        found = [judge(r, m, y, near=s) for r, m, s, y in zip(records, judges, starts, data, strict=True)]
+        return _Torque.of(records, judges[0], found)
 
-    missing = lacking([None] * len(records))
+    missing = lacking(models, [None] * len(records))
     shares = {n: missing.share(n) for n in missing.bins if n != "time" and missing.share(n) > settings.follows}
     if not shares:
         return False
 
-    def draw(rng: np.random.Generator) -> list[float]:
-        other = lacking([replica(r, m, s, rng) for r, m, s in each_one])
+    def draw(i: int) -> list[float]:
+        days = zip(another_day(records, rngs[i]), models, starts, strict=True)
+        other = lacking(estimates[i], [replica(r, m, s, rngs[i]) for r, m, s in days])
         return [other.share(n) for n in shares]
 
-    drawn = np.array(each(draw, rng.spawn(settings.draws)))
-    chance = drawn.mean(axis=0) + settings.gumbel_sigmas * drawn.std(axis=0, ddof=1)
-    return bool(np.any(np.array(list(shares.values())) > chance))
+    rngs = rng.spawn(len(estimates))
+    drawn = np.array(each(draw, range(len(estimates))))
+    return bool(np.any(np.array(list(shares.values())) > levels_of(drawn, settings)))
 
 
 def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:

@@ -1,9 +1,7 @@
 """The null: what each of the library gains by chance, and how white residuals of a true model are.
 
 Parametric bootstrap (Efron 1979): data of the model as it stands, with the noise that is left, through the same sensor,
-windows and scores. An effect with many phases gains more by chance than one with a single size, so each has a level of
-its own: cube roots of what it gains are about normal (Wilson and Hilferty 1931), and the 99 % point is that of the
-largest of the whole library, in standard deviations.
+windows and scores.
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.discover.floor import replica_errors
+from fiohost.discover.levels import levels_of
 from fiohost.discover.screen import Score, Screen, powers
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
@@ -55,35 +54,23 @@ def draw_null(
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
-    def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    def draw(rng: np.random.Generator) -> tuple[np.ndarray, float, float]:
         errors = replica_errors(fitted, records, rng, anywhere=True)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
         own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])
-        variance = 1.0 if fitted.windows else float(np.mean(np.concatenate(errors) ** 2))
-        return block * own / max(variance, 1e-300), unevenness(errors, edges) if fitted.windows else 0.0
+        variance = max(float(np.mean(np.concatenate(errors) ** 2)), 1e-300)
+        return block * own / variance, variance, unevenness(errors, edges) if fitted.windows else 0.0
 
     drawn = each(draw, rng.spawn(settings.draws))
-    gains = np.array([gain for gain, _ in drawn])  # (draws, effects)
+    # Each sample is weighed by its own noise; on average whitened ones have the variance that they are weighed by.
+    scale = float(np.mean([variance for _, variance, _ in drawn])) if fitted.windows else 1.0
+    gains = scale * np.array([gain for gain, _, _ in drawn])  # (draws, effects)
     best = gains.max(axis=1, initial=0.0)
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
     levels = dict(zip([s.effect.name for s in scores], levels_of(gains, settings).tolist(), strict=True))
     for effect in (s.effect for s in scores if s.effect.couples and not s.effect.angle_bound):
         levels[effect.name] = max(levels[effect.name], screen.by_lines)
     seen = {name: own for name, own in levels.items() if own > 0.0}
-    return Null(max(level, screen.by_lines), seen, tuple(uneven for _, uneven in drawn))
-
-
-def levels_of(gains: np.ndarray, settings: SearchSettings) -> np.ndarray:
-    """What each effect gains by chance (effects) at the 99 % point of the whole library, from what bootstrap samples
-    gain (draws, effects).
-    """
-    roots = np.cbrt(gains)
-    mean, spread = roots.mean(axis=0), roots.std(axis=0, ddof=1)
-    traces = spread > 0.0
-    if not traces.any():
-        return np.zeros(gains.shape[1])
-    best = ((roots - mean)[:, traces] / spread[traces]).max(axis=1)
-    top = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
-    return np.where(traces, (mean + top * spread) ** 3, 0.0)
+    return Null(max(level, screen.by_lines), seen, tuple(uneven for _, _, uneven in drawn))

@@ -56,6 +56,10 @@ class Logs(Evidence[Stage]):
         """Around which fits the library is scored."""
         raise NotImplementedError
 
+    def no_noise(self, state: State) -> bool:
+        """Whether the random torque that a state leaves is larger than any bench's."""
+        return False
+
     def under(self, state: State, other: State) -> Fit:
         """A state's model fitted under another's noise."""
         return state.fit
@@ -234,11 +238,14 @@ class Windows(Logs):
         return self.white(after)
 
     def white(self, state: State) -> bool:
-        if state.noise is None or state.noise.torque_pct.value > self.most_torque_pct:
+        if self.no_noise(state):
             return False
         if state not in self._white:
             self._white[state] = self._looks_white(state)
         return self._white[state]
+
+    def no_noise(self, state: State) -> bool:
+        return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct
 
     def _looks_white(self, state: State) -> bool:
         null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
@@ -255,9 +262,10 @@ class Windows(Logs):
         """Whether what a state lacks follows anything, each run with what is its own."""
         assert state.noise is not None
         stage, noise = self.stage(state), state.noise
-        own = [varied(stage.fit.model, noise.runs.by_run.get(run_of(r.name), np.zeros(3))) for r in self.train]
+        by_run = [noise.runs.by_run.get(run_of(r.name), np.zeros(3)) for r in self.train]
+        own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
         records = drawing(self.train, replace(noise, runs=NO_SCATTER))
-        return ruled(records, own, [j.start for j in stage.judgements], self.rng, self.settings)
+        return ruled(records, own, estimates, [j.start for j in stage.judgements], self.rng, self.settings)
 
 
 def _doubted(found: Fit) -> bool:

@@ -103,8 +103,8 @@ def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
 
 def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], most: int) -> list[tuple[int, Fit]]:
     """As ``rough_fit`` of several effects, but not from the base's values: those of a model that fits nothing lead
-    nowhere. Of windows all are fitted, of whole runs the ``most`` that leave least there; with their places among the
-    ``scores``.
+    nowhere. All are fitted to windows of a part of the ``records``; the ``most`` that leave least there to all records,
+    in windows or whole as the base is; with their places among the ``scores``.
     """
     share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
     parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
@@ -122,8 +122,11 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
 
     near = each(in_windows, scores)
     best = sorted(range(len(near)), key=lambda i: near[i].cost)[:most]
-    whole = each(lambda i: fit(near[i].model, records, max_iterations=8, tolerance=1e-3), best)
-    return list(zip(best, whole, strict=True))
+
+    def on_all(i: int) -> Fit:
+        return fit(near[i].model, records, windows=base.windows, max_iterations=8, tolerance=1e-3)
+
+    return list(zip(best, each(on_all, best), strict=True))
 
 
 def carried_on(rough: Fit, records: Sequence[Record]) -> Fit:

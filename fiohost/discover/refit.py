@@ -40,6 +40,12 @@ class Logs(Protocol):
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         """The state of a fit."""
 
+    def no_noise(self, state: State) -> bool:
+        """Whether the random torque that a state leaves is larger than any bench's."""
+
+    def degenerate(self, state: State, names: Sequence[str]) -> str | None:
+        """Why a fit cannot be believed by its own parameters, or None."""
+
     def chance(self, state: State, best: State) -> State:
         """A state with the noise that the best candidate leaves."""
 
@@ -86,8 +92,24 @@ class LogsBeside:
             anew = fits_anew(first.fit, self.ranked[0], first.records, s.refitted)
             jobs = [Job(self.ranked[0][i], first.fit, first.records) for i, _ in anew]
             rough = [found for _, found in anew]
-            if min(f.rms for f in rough) > s.lost * floor:
-                return []
+            left = min(rough, key=lambda f: f.cost)
+            if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
+                return []  # else it is most of what is missing
+        best = self.carried(jobs, rough, floor)
+        if not self.logs.exact and not any(self.leaves_noise(e, state) for e, state in best.values()):
+            say("beside every effect more than noise is left: beginning anew with each of them")
+            plain = self.screens[-1]
+            anew = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
+            jobs = [Job(self.ranked[-1][i], plain.fit, plain.records) for i, _ in anew]
+            for name, found in self.carried(jobs, [found for _, found in anew], floor).items():
+                if name not in best or found[1].deviance < best[name][1].deviance:
+                    best[name] = found
+        self.taken = set(best)
+        return list(best.values())
+
+    def carried(self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float) -> dict[str, tuple[Effect, State]]:
+        """The best of rough fits carried to their minimum, by name."""
+        s = self.logs.settings
         kept = self.finalists(jobs, rough)
         finals = [i for ways in kept for i in ways]
         carried = each(lambda i: carried_on(rough[i], jobs[i].records), finals)
@@ -121,8 +143,11 @@ class LogsBeside:
         for i, state in zip(left, each(settled, left), strict=True):
             if jobs[i].name not in best or state.deviance < best[jobs[i].name][1].deviance:
                 best[jobs[i].name] = jobs[i].score.effect, state
-        self.taken = set(best)
-        return list(best.values())
+        return best
+
+    def leaves_noise(self, effect: Effect, state: State) -> bool:
+        """Whether what an effect leaves may be noise, and its fit may be believed."""
+        return not (self.logs.no_noise(state) or self.logs.degenerate(state, [effect.name]))
 
     def worth(self) -> list[Job]:
         """The effects whose scores make them worth a fit, of each screen."""

@@ -88,17 +88,22 @@ def drawn_run(noise: Noise, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
 
 
-def other_runs(records: Sequence[Record], rng: np.random.Generator) -> list[Record]:
-    """The records of other runs: what is each run's own is drawn anew."""
+def another_day(records: Sequence[Record], rng: np.random.Generator) -> list[Record]:
+    """The records as another day would give them: the noise is what it may be, as far as the data leave that open, and
+    what is each run's own is drawn anew.
+    """
+    if all(r.disturbance is None for r in records):
+        return list(records)
     drawn: dict[str, np.ndarray] = {}
-    found = []
+    found, u = [], float(rng.random())
     for record in records:
         disturbance = record.disturbance
-        if disturbance is not None and disturbance.own is not None:
-            name = run_of(record.name)
-            drawn.setdefault(name, drawn_run(disturbance.noise, rng))
-            own = replace(disturbance.own, values=drawn[name])
-            record = replace(record, disturbance=replace(disturbance, own=own))
+        if disturbance is not None:
+            own = disturbance.own
+            if own is not None:
+                name = run_of(record.name)
+                own = replace(own, values=drawn.setdefault(name, drawn_run(disturbance.noise, rng)))
+            record = replace(record, disturbance=replace(disturbance, noise=disturbance.noise.drawn(u), own=own))
         found.append(record)
     return found
 

@@ -215,7 +215,8 @@ class SearchSettings:
     least_refitted: int = 4
     refitted: int = 10
     refitted_in_windows: int = 5
-    # Of these, so many are carried to their minimum, those within this factor of the best in squared error.
+    # Of these, so many are carried to their minimum, those within this factor of the best in squared error. Whole runs
+    # that follow nothing are left to windows but where one takes as much.
     finalists: int = 10
     finalists_in_windows: int = 4
     hopeless: float = 12.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.replica import replica
+from fiohost.discover.replica import another_day, replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
@@ -252,8 +252,8 @@ def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
 
     def draw(rng: np.random.Generator) -> float:
         errors = [
-            windowed(r, flat, j.start, replica(r, stage.fit.model, j.start, rng, j.free_residual))[0]
-            for r, j in zip(records, stage.judgements, strict=True)
+            windowed(r, flat, j.start, replica(other, stage.fit.model, j.start, rng, j.free_residual))[0]
+            for r, other, j in zip(records, another_day(records, rng), stage.judgements, strict=True)
         ]
         return unevenness(errors, edges)
 

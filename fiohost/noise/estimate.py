@@ -9,7 +9,7 @@ its profile stays near that (Wilks 1938).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -32,7 +32,7 @@ class Ranged:
 class Noise:
     """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
     with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
-    ``samples`` are those that it is from.
+    ``samples`` are those that it is from. ``likely`` (k, 3) are draws of the three together, as data leave them open.
     """
 
     sensor: Ranged
@@ -41,6 +41,14 @@ class Noise:
     deviance: float = 0.0
     samples: int = 0
     runs: RunToRun = NO_SCATTER
+    likely: np.ndarray | None = field(default=None, repr=False, compare=False)
+
+    def drawn(self, u: float) -> Noise:
+        """The noise as it may be, for one bootstrap sample; ``u`` from 0 to 1 says which of those that are likely."""
+        if self.likely is None:
+            return self
+        sensor, torque_pct, torque_s = (Ranged(v, v, v) for v in self.likely[int(u * len(self.likely))].tolist())
+        return replace(self, sensor=sensor, torque_pct=torque_pct, torque_s=torque_s)
 
     def near(self, other: Noise, share: float) -> bool:
         """Whether another noise differs by no more than a share of what these intervals leave open."""
@@ -57,6 +65,9 @@ class Noise:
 LEAST_DIRECTION = 1e-9
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
+
+# By so much a profile's deviance rises at the ends of a 95 % interval where pieces are independent.
+CHI_SQUARED_95 = 3.841
 
 NONE = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0))
 
@@ -218,7 +229,18 @@ def estimate(
     best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
     ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
     time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)
-    return Noise(ranged[1], ranged[2], time, float(deviances.min()), samples)
+    return Noise(ranged[1], ranged[2], time, float(deviances.min()), samples, likely=_likely(deviances, axes, settings))
+
+
+def _likely(deviances: np.ndarray, axes: Sequence[np.ndarray], settings: NoiseSettings) -> np.ndarray:
+    """Draws (k, 3) of sensor, torque and its time, as likely as the data say, from looks (times, sensors, torques)
+    around their best: at even steps of the likelihood summed up (systematic sampling).
+    """
+    counts = CHI_SQUARED_95 / settings.interval_deviance
+    chance = np.cumsum(np.exp(-0.5 * counts * (deviances - deviances.min())).ravel())
+    steps = (np.arange(settings.likely) + 0.5) / settings.likely * chance[-1]
+    times, sensors, torques = np.unravel_index(np.searchsorted(chance, steps), deviances.shape)
+    return np.column_stack([axes[1][sensors], axes[2][torques], axes[0][times]])
 
 
 def _profile(deviances: np.ndarray, axis: int) -> np.ndarray:

@@ -44,6 +44,8 @@ class NoiseSettings:
     run_coarse: int = 4
     run_sweeps: int = 3
     run_deviance: float = 6.63
+    # So many draws of what the noise may be: bootstrap samples take theirs from them.
+    likely: int = 64
     # Lags of the whiteness test: a tenth of a window at 200 Hz.
     lags: int = 20
     # A window's autocorrelation counts for so many standard deviations at most.

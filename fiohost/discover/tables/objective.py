@@ -10,7 +10,8 @@ import numpy as np
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
 from fiohost.discover.floor import refitted
-from fiohost.discover.null import Null, levels_of
+from fiohost.discover.levels import levels_of
+from fiohost.discover.null import Null
 from fiohost.discover.score import Gain, objection
 from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import LOOKS, Rows, TableFit, fit_declared, fit_tables, shown_by_one_row, without_row
