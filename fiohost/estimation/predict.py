@@ -142,9 +142,27 @@ def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
     """States (m, STATE_SIZE) of a free run where the windows that are looked at begin."""
     firsts, ex = record.looked_at()[0], record.excitation
     if SPARSE * len(firsts) >= len(record.windows):
-        return np.ascontiguousarray(free_states(record, flat, start)[firsts])
+        return begin_windows(record, free_states(record, flat, start))
     # The first window of a record is always looked at, so this run begins where the whole one does.
-    return free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts]))
+    return _behind_gaps(record, free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts])))
+
+
+def begin_windows(record: Record, states: np.ndarray) -> np.ndarray:
+    """Of states (n, STATE_SIZE) of a free run, those (m, STATE_SIZE) where the windows that are looked at begin."""
+    return _behind_gaps(record, np.ascontiguousarray(states[record.looked_at()[0]]))
+
+
+def _behind_gaps(record: Record, states: np.ndarray) -> np.ndarray:
+    """States (m, STATE_SIZE) where windows begin, those behind a gap with the speed that is seen there: no run knows
+    the commands of a gap.
+    """
+    if not record.broken:
+        return states
+    firsts = record.looked_at()[0]
+    behind = np.flatnonzero(np.diff(record.segments[firsts], prepend=record.segments[firsts[0]]))
+    omegas = states[:, OMEGA].copy()
+    omegas[behind] = [record.speed_at(int(firsts[w])) for w in behind]
+    return moved(states, states[:, THETA], omegas)
 
 
 def turned_deg(record: Record, flat: Flat) -> float:
@@ -255,7 +273,7 @@ def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarr
 
 def in_windows(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> tuple[np.ndarray, Begun]:
     """``window_residuals``, and where the windows begin."""
-    return _from_bases(record, flat, np.ascontiguousarray(states[record.looked_at()[0]]), y)
+    return _from_bases(record, flat, begin_windows(record, states), y)
 
 
 def _from_bases(

@@ -104,6 +104,15 @@ class Record:
         variance = (float(np.mean(np.abs(bends))) / MEAN_OF_NORMAL) ** 2 / 6.0 if len(bends) else 0.0
         return float(np.sqrt(max(variance - self.quantum**2 / 12.0, 0.0)))
 
+    def speed_at(self, i: int) -> float:
+        """The speed that is seen from a sample on, in the output's unit per second where that is an angle."""
+        if self.kind != ANGLE:
+            return float(self.y[i])
+        last = min(i + max(round(SMOOTH_S / self.sample_time_s), 1), len(self) - 1)
+        return float(
+            (self.y[last] - self.y[i]) / max(self.excitation.times_s[last] - self.excitation.times_s[i], 1e-12)
+        )
+
     def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
         """The first sample of every window that is looked at, and that after its last: evenly spread, but not in step
         with anything that repeats itself.
