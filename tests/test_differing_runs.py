@@ -117,6 +117,8 @@ def test_an_end_of_travel_is_seen_through_the_noise_of_the_sensor(noise_counts: 
     assert min(abs(end - 700.0) for end in ends) < 2.0
     # The shaft was never beyond the end, wherever noise put its readings.
     assert turned_deg(record, Flat.of(STOPPED)) == 0.0
+    # An estimate some degrees short of where it stood does not send the end to the turn before.
+    assert turned_deg(record, Flat.of(STOPPED.with_values({"hard_stop.angle_deg": 697.0}))) == 0.0
 
 
 def test_a_random_torque_does_not_push_a_coasting_shaft_through_its_end() -> None:

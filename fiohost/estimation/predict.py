@@ -30,8 +30,9 @@ from fiohost.noise.runs import shifted
 # What keeps more in mind than angle and speed.
 REMEMBERING = [i for i, item in enumerate(effects().values()) if item.remembers]
 
-# A shaft may stand so far beyond an end of travel, for want of a finer sensor.
-END_SLACK_COUNTS = 3.0
+# A shaft may stand so far beyond an end of travel, for want of a finer sensor; and an end is not known to better than
+# some degrees where noise tells when the shaft came to it.
+END_SLACK_COUNTS, END_SLACK_DEG = 3.0, 5.0
 
 # Of a run that is looked at in fewer than one of so many windows, nothing is kept between them.
 SPARSE = 4
@@ -173,7 +174,7 @@ def turned_deg(record: Record, flat: Flat) -> float:
     end = float(flat.p[STOP])
     if not flat.on[STOP_ON] or end == 0.0 or not record.rotary or record.kind != ANGLE:
         return 0.0
-    slack = END_SLACK_COUNTS * (record.quantum + record.scatter)
+    slack = max(END_SLACK_COUNTS * (record.quantum + record.scatter), END_SLACK_DEG)
     if end > 0.0:
         return 360.0 * float(np.floor((end + slack - record.smooth.max()) / 360.0))
     return 360.0 * float(np.ceil((end - slack - record.smooth.min()) / 360.0))
