@@ -173,7 +173,7 @@ class WhitenSettings:
     """How windows are whitened by what is left in them."""
 
     # Noise and model settle on each other in so many rounds at most; they have where the next round would change the
-    # noise by less than this share of its interval, or, of several runs, the last one changed the deviance by less.
+    # noise by less than this share of its interval, or, of several runs, the last one lowered the deviance by less.
     rounds: int = 4
     settled: float = 0.1
     settled_deviance: float = 0.2

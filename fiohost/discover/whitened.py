@@ -224,7 +224,7 @@ def settle(
     moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
     whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
-    deviance = np.inf
+    best: Settled | None = None
     for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
             alone = each_alone(around_runs(fitted, bare, alone)[1])
@@ -238,10 +238,12 @@ def settle(
         fitted = fit(
             model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
         )
-        before, deviance = deviance, Settled(fitted, plainly, whitened, noise, moves).deviance
-        if several and abs(before - deviance) < WHITENING.settled_deviance:
-            break
-    return Settled(fitted, plainly, whitened, noise, moves)
+        before, now = best, Settled(fitted, plainly, whitened, noise, moves)
+        if not several or before is None or now.deviance < before.deviance:
+            best = now
+        if several and before is not None and now.deviance > before.deviance - WHITENING.settled_deviance:
+            break  # what runs scatter by and what each has swing about where they settle
+    return best or Settled(fitted, plainly, whitened, noise, moves)
 
 
 def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
