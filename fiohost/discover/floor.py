@@ -85,7 +85,12 @@ def replica_models(
 
 
 def replica_errors(
-    fitted: Fit, records: Sequence[Record], rng: np.random.Generator, *, anywhere: bool = False
+    fitted: Fit,
+    records: Sequence[Record],
+    rng: np.random.Generator,
+    *,
+    anywhere: bool = False,
+    open_noise: bool = True,
 ) -> list[np.ndarray]:
     """What a fitted model would leave of one draw of its own readings, for each record, as the fit weighs it."""
     flat = Flat.of(fitted.model)
@@ -94,7 +99,7 @@ def replica_errors(
         known = fitted.errors(records)
     return [
         errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
-        for r, s, e in zip(another_day(records, rng), fitted.starts, known, strict=True)
+        for r, s, e in zip(another_day(records, rng, open_noise=open_noise), fitted.starts, known, strict=True)
     ]
 
 

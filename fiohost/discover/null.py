@@ -55,7 +55,8 @@ def draw_null(
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
     def draw(rng: np.random.Generator) -> tuple[np.ndarray, float, float]:
-        errors = replica_errors(fitted, records, rng, anywhere=True)
+        # What is gained is weighed by the noise that is found: it grows with that, whatever it is.
+        errors = replica_errors(fitted, records, rng, anywhere=True, open_noise=not scores)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])

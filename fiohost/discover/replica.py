@@ -88,9 +88,9 @@ def drawn_run(noise: Noise, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
 
 
-def another_day(records: Sequence[Record], rng: np.random.Generator) -> list[Record]:
-    """The records as another day would give them: the noise is what it may be, as far as the data leave that open, and
-    what is each run's own is drawn anew.
+def another_day(records: Sequence[Record], rng: np.random.Generator, *, open_noise: bool = True) -> list[Record]:
+    """The records as another day would give them: what is each run's own is drawn anew, and the noise is what it may
+    be, as far as the data leave that open; the likeliest where it is not an ``open_noise``.
     """
     if all(r.disturbance is None for r in records):
         return list(records)
@@ -103,7 +103,8 @@ def another_day(records: Sequence[Record], rng: np.random.Generator) -> list[Rec
             if own is not None:
                 name = run_of(record.name)
                 own = replace(own, values=drawn.setdefault(name, drawn_run(disturbance.noise, rng)))
-            record = replace(record, disturbance=replace(disturbance, noise=disturbance.noise.drawn(u), own=own))
+            noise = disturbance.noise.drawn(u) if open_noise else disturbance.noise
+            record = replace(record, disturbance=replace(disturbance, noise=noise, own=own))
         found.append(record)
     return found
 
