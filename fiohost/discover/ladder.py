@@ -61,8 +61,8 @@ def searched(
     def as_whole_runs(node: Node) -> Node:
         """What windows led to, fitted to whole runs."""
         if node not in near:
-            state = runs.settled(fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6))
-            near[node] = Node(runs.finished(state) if runs.in_reach(state) else state, node.added)
+            fitted = fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
+            near[node] = Node(runs.settled(fitted), node.added)
         return near[node]
 
     def enough(node: Node) -> bool:

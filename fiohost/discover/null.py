@@ -54,24 +54,22 @@ def draw_null(
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
-    def draw(rng: np.random.Generator) -> tuple[np.ndarray, float, float]:
+    def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
         # What is gained is weighed by the noise that is found: it grows with that, whatever it is.
         errors = replica_errors(fitted, records, rng, anywhere=True, open_noise=not scores)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
         own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])
-        variance = max(float(np.mean(np.concatenate(errors) ** 2)), 1e-300)
-        return block * own / variance, variance, unevenness(errors, edges) if fitted.windows else 0.0
+        variance = 1.0 if fitted.windows else float(np.mean(np.concatenate(errors) ** 2))
+        return block * own / max(variance, 1e-300), unevenness(errors, edges) if fitted.windows else 0.0
 
     drawn = each(draw, rng.spawn(settings.draws))
-    # Each sample is weighed by its own noise; on average whitened ones have the variance that they are weighed by.
-    scale = float(np.mean([variance for _, variance, _ in drawn])) if fitted.windows else 1.0
-    gains = scale * np.array([gain for gain, _, _ in drawn])  # (draws, effects)
+    gains = np.array([gain for gain, _ in drawn])  # (draws, effects)
     best = gains.max(axis=1, initial=0.0)
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
     levels = dict(zip([s.effect.name for s in scores], levels_of(gains, settings).tolist(), strict=True))
     for effect in (s.effect for s in scores if s.effect.couples and not s.effect.angle_bound):
         levels[effect.name] = max(levels[effect.name], screen.by_lines)
     seen = {name: own for name, own in levels.items() if own > 0.0}
-    return Null(max(level, screen.by_lines), seen, tuple(uneven for _, _, uneven in drawn))
+    return Null(max(level, screen.by_lines), seen, tuple(uneven for _, uneven in drawn))

@@ -146,10 +146,6 @@ class WholeRuns(Logs):
         better = unstuck(found, records, self.rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
-    def in_reach(self, state: State) -> bool:
-        """Whether a fit is so near the floor that gradients lead on from there."""
-        return state.fit.rms <= self.settings.lost * self.floor_rms(state)
-
     def polished(self, state: State) -> State:
         better = polish(state.fit, state.records, self.rng)
         return state if better is state.fit or _doubted(better) else self.settled(better)
