@@ -75,7 +75,10 @@ def searched(
         again = as_whole_runs(seen)
         if not whole.explains(again):
             again = Node(runs.finished(again.state), seen.added)
-        again = whole.exchanged(again) if whole.explains(again) else whole.run(again)
+        if whole.explains(again):
+            again = whole.exchanged(again, last=not runs.only_counts(again.state))
+        else:
+            again = whole.run(again)
         if whole.explains(again):
             return whole.found(root, again)
     found = by_windows.found(begun, seen)

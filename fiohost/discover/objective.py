@@ -133,6 +133,11 @@ class WholeRuns(Logs):
         # Counts of whole runs err alike and do not average out.
         return state.fit.cost <= self.settings.as_good * best.fit.cost
 
+    def only_counts(self, state: State) -> bool:
+        """Whether nothing but the rounding to counts is left: no other structure could leave less."""
+        counts = max(r.quantum for r in self.records) / float(np.sqrt(12.0))
+        return state.fit.rms <= self.settings.finished * counts
+
     def finished(self, state: State) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
         found, records = state.fit, self.records

@@ -96,7 +96,8 @@ class LogsBeside:
             if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
                 return []  # else it is most of what is missing
         best = self.carried(jobs, rough, floor)
-        if not self.logs.exact and not any(self.leaves_noise(e, state) for e, state in best.values()):
+        states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
+        if not self.logs.exact and not any(self.leaves_noise(state, names) for state, names in states):
             say("beside every effect more than noise is left: beginning anew with each of them")
             plain = self.screens[-1]
             anew = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
@@ -145,9 +146,9 @@ class LogsBeside:
                 best[jobs[i].name] = jobs[i].score.effect, state
         return best
 
-    def leaves_noise(self, effect: Effect, state: State) -> bool:
-        """Whether what an effect leaves may be noise, and its fit may be believed."""
-        return not (self.logs.no_noise(state) or self.logs.degenerate(state, [effect.name]))
+    def leaves_noise(self, state: State, names: Sequence[str]) -> bool:
+        """Whether what a state leaves may be noise, and its fit with the effects ``names`` may be believed."""
+        return not (self.logs.no_noise(state) or self.logs.degenerate(state, names))
 
     def worth(self) -> list[Job]:
         """The effects whose scores make them worth a fit, of each screen."""

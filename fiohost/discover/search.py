@@ -149,14 +149,14 @@ class Search(Generic[J]):
                 break  # beside the best one nothing is missing
         return list(grown.values())
 
-    def exchanged(self, best: Node) -> Node:
+    def exchanged(self, best: Node, *, last: bool = False) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
-        were missing. Beside what an exact fit does not follow nothing can be told by it, nor by windows what whole runs
-        are to be asked.
+        were missing. The ``last`` too, where other evidence chose it. Beside what an exact fit does not follow nothing
+        can be told by it, nor by windows what whole runs are to be asked.
         """
         if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
-        for earlier in best.added[:-1]:
+        for earlier in best.added if last else best.added[:-1]:
             if earlier not in best.added:
                 continue
             name = earlier.child.name

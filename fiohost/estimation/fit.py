@@ -25,7 +25,7 @@ MAX_ITERATIONS = 40
 # A step that promises less than this share of what the tolerance asks for is not tried.
 PROMISED = 0.1
 # Windows are fitted along their tangent; to a tolerance below this one, with exact derivatives in the end.
-ALONG_TANGENT = 5e-5
+ALONG_TANGENT = 9e-6
 PLAY_ROUNDS = 2
 # The longest step of one iteration shrinks so with every attempt that does not pay, for a start by its reach.
 REACH_SHRINKS = 0.3

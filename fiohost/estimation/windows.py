@@ -17,6 +17,8 @@ ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 # their promise.
 WORTH_MOVING = 1e-4
 AS_PROMISED = 0.7
+# A step that did not pay is tried again damped by so much of the columns' squares at least: less moves it little.
+LEAST_DAMPING = 0.1
 
 
 @inlined
@@ -223,7 +225,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
                     y0[i] = y1[i]
                 damping *= 0.1
             else:
-                damping = max(damping * 10.0, 1e-6)
+                damping = max(damping * 10.0, LEAST_DAMPING)
                 serving = not moved
         shifts[w] = shift
         omegas[w] = omega
