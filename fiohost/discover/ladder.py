@@ -71,6 +71,7 @@ def searched(
     by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
+    runs.anew = False  # windows have led near, or nothing does
     if exact and (seen.added or runs.few):  # else they have been asked from there
         again = as_whole_runs(seen)
         if not whole.explains(again):

@@ -52,7 +52,7 @@ class Understanding:
         if self.table_map is None:
             what = " and ".join(one.what for one in self.unknown)
             options = ", ".join(dict.fromkeys(one.option for one in self.unknown if one.option))
-            says = f"; say it with {options}, or write a map" if options else "; a map can say it"
+            says = f"; say it with {options} of fiohost import, or write a map" if options else "; a map can say it"
             raise DataError(f"{self.table.path}: unknown is {what}{says}")
         return self.table_map
 
