@@ -50,6 +50,7 @@ def test_a_staircase_up_shows_neither_play_nor_break_away_nor_direction(tmp_path
     assert hidden(found)["backlash"].startswith("no reversals")
     assert hidden(found)["static_friction"].startswith("1 start from standstill")
     assert "one direction only" in hidden(found)["direction_dependent_gain"]
+    assert {"pwm_resolution", "duty_steps"} <= set(hidden(found))
     assert "gravity_load" not in hidden(found)
     assert {"quadratic_drag", "duty_curve", "voltage_saturation"} in apart(found)
     assert {"coulomb_friction", "input_deadband", "bridge_voltage_drop"} in apart(found)

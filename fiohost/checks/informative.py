@@ -101,7 +101,7 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: f"{_times(d.levels, 'level')} of duty: whether the speed grows in proportion cannot be seen",
     ),
     (
-        ("pwm_resolution",),
+        ("pwm_resolution", "duty_steps"),
         lambda d: d.distinct_duties < FINE_LEVELS,
         lambda d: f"{d.distinct_duties} different duties: steps of the duty do not show at a few levels",
     ),
