@@ -188,6 +188,13 @@ def test_a_static_curve_cannot_tell_a_deadband_from_friction_and_says_so(static:
     assert step["parameters"]["level_pct"]["value"] == pytest.approx(5.0, abs=0.1)
 
 
+def test_a_bridge_that_coasts_is_seen_in_a_curve_though_its_shape_is_no_size(tmp_path: Path) -> None:
+    path = curve(tmp_path, lambda u: 900.0 * max(1.0 - 4.0 / u, 0.0), FORWARD)  # no current once a pulse is over
+    found = diagnose_readings([path], "linear+coulomb_friction", library=["coast_pwm", *SOME])
+    assert [step.effect for step in found.found.steps] == ["coast_pwm"]
+    assert found.final.fit.rms < 0.1 * found.found.declared.fit.rms
+
+
 def test_a_straight_curve_lacks_nothing(tmp_path: Path) -> None:
     found = diagnose_readings([curve(tmp_path, lambda u: 9.3 * u, FORWARD)], "linear")
     assert found.verdict == "no_missing_effect"

@@ -320,10 +320,10 @@ def without_row(data: Rows, fitted: TableFit, row: int, looks: int = 0) -> np.nd
 
 
 def shown_by_one_row(fitted: TableFit, name: str) -> bool:
-    """Whether a single row is all that an effect's sizes change, so that no other can confirm it."""
-    for j, key in enumerate(fitted.names):
-        if key.partition(".")[0] == name and fitted.model.parameter(key).neutral is not None:
-            changed = [np.linalg.norm(columns[:, j]) > SEEN for columns in fitted.jacobians]
-            if np.count_nonzero(changed) > 1:
-                return False
-    return any(key.partition(".")[0] == name for key in fitted.names)
+    """Whether a single row is all that an effect's sizes change, or where it has none its shape, so that no other can
+    confirm it.
+    """
+    own = [j for j, key in enumerate(fitted.names) if key.partition(".")[0] == name]
+    sizes = [j for j in own if fitted.model.parameter(fitted.names[j]).neutral is not None]
+    changed = [sum(np.linalg.norm(columns[:, j]) > SEEN for columns in fitted.jacobians) for j in sizes or own]
+    return bool(own) and all(rows <= 1 for rows in changed)
