@@ -2,9 +2,9 @@
 
 Usage: ``python benchmarks/measured.py FOLDER [SECTION...]``. FOLDER (or ``-`` for ``measured`` in the folder named by
 FIOHOST_DATA) holds ``nxt_open_loop``, ``brake_pwm_gearmotor`` and ``emps``: the public data named in the maps of
-``configs/maps``; ``nxt_textbook`` beside it holds printed tables. Whole runs against the whole library take minutes, so
-that sections (nxt, gear, emps, tables) can be made anew alone; the others are as ``measured.json`` keeps them, each
-with the commit it was made at. ``words`` makes none anew.
+``configs/maps``, and that named in ``measured_more.py``; ``nxt_textbook`` beside it holds printed tables. Whole runs
+against the whole library take minutes, so that sections (nxt, gear, emps, more, tables) can be made anew alone; the
+others are as ``measured.json`` keeps them, each with the commit it was made at. ``words`` makes none anew.
 
 The words are in ``measured.template.md`` and ``measured_tables.template.md``. They describe what was seen when they
 were written: read them against the figures and the pictures after every run.
@@ -21,6 +21,7 @@ from pathlib import Path
 
 import measured_emps
 import measured_gearmotor
+import measured_more
 import measured_nxt
 import measured_tables
 from rows import commit
@@ -32,6 +33,7 @@ SECTIONS = {
     "nxt": ("nxt_open_loop", measured_nxt.section),
     "gear": ("brake_pwm_gearmotor", measured_gearmotor.section),
     "emps": ("emps", measured_emps.section),
+    "more": ("", measured_more.section),
     "tables": ("../nxt_textbook", measured_tables.section),
 }
 WORDS = "words"
