@@ -22,7 +22,7 @@ from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import Record
+from fiohost.estimation.record import Record, make_record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -64,6 +64,29 @@ def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     begun = replace(record, y=np.floor(warm / QUANTUM_DEG) * QUANTUM_DEG)
     assert initial_state(begun, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
     assert judge(begun, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
+
+
+@pytest.mark.parametrize("warmth", [0.5, 0.7])
+def test_a_warmth_of_which_windows_say_little_is_found_by_the_whole_run(warmth: float) -> None:
+    """Braked between short pulses, friction counts for little in the windows that are looked at first."""
+    truth = Model.parse("linear+coulomb_friction+friction_warm_up+fast_decay").with_values(
+        {
+            "linear.gain_deg_s_per_pct": 10.93,
+            "linear.tau_s": 0.1369,
+            "coulomb_friction.level_pct": 1.0,
+            "friction_warm_up.ratio": 0.35,
+            "friction_warm_up.time_constant_s": 6.1,
+            "fast_decay.electrical_tau_s": 0.0023,
+        }
+    )
+    pulses = [np.repeat((level, 0.0), (120, 180)) for level in (30.0, -30.0, 60.0, -60.0, 100.0)]
+    duty = np.append(np.concatenate(pulses * 4), 0.0)
+    mode = np.where(duty != 0.0, 1, 2)
+    times = np.arange(len(duty)) * TICK_S
+    record = make_record("pulses", times, duty, np.zeros(len(duty)), mode=mode, quantum=QUANTUM_DEG, at_rest=True)
+    y = free_output(record, Flat.of(truth), Start(292.6, 0.0, warmth=warmth))
+    begun = replace(record, y=np.floor(y / QUANTUM_DEG) * QUANTUM_DEG)
+    assert judge(begun, truth).errors.free_run_rms < 1.5 * COUNT_NOISE
 
 
 @pytest.mark.parametrize("follows", effect("friction_warm_up").parameter("follows").choices)

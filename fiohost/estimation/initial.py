@@ -184,8 +184,8 @@ def _first_second(record: Record, flat: Flat, y: np.ndarray, warmth: float) -> S
 def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near: float | None = None) -> float:
     """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it.
 
-    Windows come ``near`` where nothing else does; then the whole run, which is sharper and, where the shaft sticks,
-    rugged.
+    Windows come ``near`` where nothing else does, the whole run where a few of its windows show little; then the whole
+    run, which is sharper and, where the shaft sticks, rugged.
     """
 
     def in_whole(warmth: float) -> float:
@@ -194,9 +194,13 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
             error = error - weights * float(error @ weights) / float(weights @ weights)
         return float(error @ error)
 
+    reach = WARMTH_NEAR
     if near is None:
-        near = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
-    return _least(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0), WARMTH_CLOSE)
+        looks = np.linspace(0.0, 1.0, WARMTH_LOOKS)
+        by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+        near = min((by_windows, *looks.tolist()), key=in_whole)
+        reach = WARMTH_NEAR if near == by_windows else float(looks[1])
+    return _least(in_whole, max(near - reach, 0.0), min(near + reach, 1.0), WARMTH_CLOSE)
 
 
 def guessed_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
