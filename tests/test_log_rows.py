@@ -26,7 +26,7 @@ def lines(count: int) -> list[bytes]:
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is large is small here, so that a test of a few thousand rows meets it, in several pieces."""
     monkeypatch.setattr(rows_of, "LARGE_BYTES", 100)
-    monkeypatch.setattr("fiohost.bench.log.PIECE_BYTES", 20_000)
+    monkeypatch.setattr(rows_of, "PIECE_BYTES", 20_000)
 
 
 def read(path: Path, body: bytes) -> Log:
@@ -73,9 +73,12 @@ def test_what_is_not_clean_is_read_as_without_pyarrow(
         np.testing.assert_array_equal(with_it.columns[name], without.columns[name])
 
 
-def test_a_byte_that_is_no_text_is_told_by_its_place(tmp_path: Path, small_pieces: None) -> None:
+@pytest.mark.parametrize(("place", "line"), [(1500, b"0.1,\xff,2,3\n"), (2000, b"# x:\xff\n")])
+def test_a_byte_that_is_no_text_is_told_by_its_place(
+    place: int, line: bytes, tmp_path: Path, small_pieces: None
+) -> None:
     body = lines(2000)
-    body[1500] = b"0.1,\xff,2,3\n"
-    at = len(HEAD) + len(b"".join(body[:1500])) + 4
+    body[place : place + 1] = [line]
+    at = len(HEAD) + len(b"".join(body[:place])) + 4
     with pytest.raises(LogError, match=f"byte {at} is not UTF-8"):
         read(tmp_path / "log.csv", b"".join(body))

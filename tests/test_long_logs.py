@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bench_data import measure, steps, truth_model
 
-from fiohost.bench import log as log_module
+from fiohost.bench import rows as rows_module
 from fiohost.bench.log import Log
 from fiohost.bench.unwrap import ambiguous_steps
 from fiohost.discover.floor import replica_floor
@@ -41,7 +41,7 @@ def test_in_pieces_a_log_is_the_same_as_in_one(tmp_path: Path, monkeypatch: pyte
     assert len(whole) == 397
     assert "note" not in whole.columns
     assert any("2 lines that do not fit the columns (the first is line 12)" in note for note in whole.dropped)
-    monkeypatch.setattr(log_module, "PIECE_BYTES", 500)
+    monkeypatch.setattr(rows_module, "PIECE_BYTES", 500)
     cut = Log.read(path)
     assert (cut.dropped, cut.metadata, cut.sha256) == (whole.dropped, whole.metadata, whole.sha256)
     assert cut.columns.keys() == whole.columns.keys()
@@ -50,7 +50,7 @@ def test_in_pieces_a_log_is_the_same_as_in_one(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_byte_that_is_no_text_is_named_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_module, "PIECE_BYTES", 500)
+    monkeypatch.setattr(rows_module, "PIECE_BYTES", 500)
     data = (HEAD + "\n".join(rows(100)) + "\n").encode()
     at = len(data) - 40
     path = tmp_path / "run.csv"
@@ -63,14 +63,14 @@ def test_reading_takes_little_memory_beside_the_file_and_its_numbers(tmp_path: P
     count = 60_000
     path = tmp_path / "run.csv"
     path.write_text(HEAD + "\n".join(rows(count)) + "\n")
-    log_module.PIECE_BYTES, kept = 100_000, log_module.PIECE_BYTES
+    rows_module.PIECE_BYTES, kept = 100_000, rows_module.PIECE_BYTES
     tracemalloc.start()
     try:
         log = Log.read(path)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-        log_module.PIECE_BYTES = kept
+        rows_module.PIECE_BYTES = kept
     numbers = sum(values.nbytes for values in log.columns.values())
     assert peak < 1.7 * (path.stat().st_size + numbers)
 

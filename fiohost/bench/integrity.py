@@ -10,8 +10,11 @@ import re
 import zlib
 from dataclasses import dataclass
 
+import numpy as np
+
 PREFIX = "# end: "
 _END = re.compile(rb"# end: rows=(\d{1,12}) crc32_head=([0-9a-f]{8}) crc32_rows=([0-9a-f]{8})\n?")
+BLOCK = 1 << 18  # bytes that are looked at at a time
 WHOLE, CUT_OFF, ALTERED, UNKNOWN = "whole", "cut off", "altered", "unknown"
 
 
@@ -39,7 +42,7 @@ def judge(data: bytes) -> Integrity:
         return _without_end(data)
     at = _first_row(data, begin)
     head, rows = memoryview(data)[:at], memoryview(data)[at:begin]  # no copies: logs are large
-    there, written = data.count(b"\n", at, begin), int(found[1])
+    there, written = line_ends(data, at, begin), int(found[1])
     notes = []
     if there != written:
         what = f"{written - there} rows are missing" if there < written else f"{there - written} rows were added"
@@ -54,7 +57,7 @@ def judge(data: bytes) -> Integrity:
 def _without_end(data: bytes) -> Integrity:
     at = _first_row(data, len(data))
     head = data[:at]
-    whole = data.count(b"\n", at)
+    whole = line_ends(data, at)
     notes = []
     if data and not data.endswith(b"\n"):
         notes.append("the last line is cut off in its middle")
@@ -66,6 +69,12 @@ def _without_end(data: bytes) -> Integrity:
     else:
         notes.append("its last line with row count and check sum is missing: the end of the file is lost")
     return Integrity(CUT_OFF, whole, None, tuple(notes))
+
+
+def line_ends(data: bytes, start: int = 0, end: int | None = None) -> int:
+    """How many there are; by numpy, which looks at many bytes at once."""
+    codes = np.frombuffer(data, np.uint8)[start:end]
+    return sum(int(np.count_nonzero(codes[i : i + BLOCK] == ord("\n"))) for i in range(0, codes.size, BLOCK))
 
 
 def _first_row(data: bytes, end: int) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from fiohost import files
 from fiohost.bench.head import MAX_LINE_CHARS, MAX_METADATA_LINES, OUTPUT_UNITS, check_names, needed_columns, read_head
 from fiohost.bench.integrity import ALTERED, judge
-from fiohost.bench.rows import parse_rows
+from fiohost.bench.rows import after_line, parse_rows
 from fiohost.bench.unwrap import ambiguous_steps, unwrap_counts
 from fiohost.bench.writer import SCHEMA, LogWriter
 from fiohost.errors import LogError
@@ -33,10 +34,10 @@ __all__ = ["BRAKE", "DRIVE", "OUTPUT_UNITS", "STANDBY", "Log", "LogWriter"]
 FloatArray = NDArray[np.float64]
 
 MAX_LOG_BYTES = 640_000_000  # 10 million rows with every column that a run writes, some 14 hours at 5 ms, and more
-PIECE_BYTES = 8_000_000  # of rows that are read at a time: what is in between takes little memory
 HEAD_BYTES = MAX_METADATA_LINES * MAX_LINE_CHARS
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MAX_NUMBER = 1e12  # of a time (s) or an output: beyond it no shaft turns and no run lasts; squares stay finite
+BLOCK_ROWS = 1 << 15  # that are looked at at a time: they stay near the processor
 MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broken time column, not a gap
 DUTY_TOLERANCE_PCT = 0.01
 DEFAULT_COUNTS_PER_REV = 720
@@ -70,16 +71,16 @@ class Log:
         """Read a log file. Raises LogError where it cannot be read, is no log, or holds nothing whole."""
         path = Path(path)
         data = files.read_input(path, MAX_LOG_BYTES, "the log", LogError)
-        notes: list[str] = []
-        digest = hashlib.sha256(data).hexdigest()
-        judged = judge(data)
         whole = data.rstrip(b"\0")  # a crashed machine may leave a tail of zeros
-        if len(whole) < len(data):
-            notes.append(f"{len(data) - len(whole)} zero bytes at the end of the file")
+        with ThreadPoolExecutor(1) as beside:  # sums let go of the interpreter's lock
+            digest, judging = beside.submit(_sha256, data), beside.submit(judge, data)
+            notes = [f"{len(data) - len(whole)} zero bytes at the end of the file"] if len(whole) < len(data) else []
+            del data
+            metadata, columns, left_out = _parsed(whole, path)
+            judged = judging.result()
         if judged.state == ALTERED:
             notes.append(f"nothing, but the file was altered since it was written: {'; '.join(judged.notes)}")
-        del data
-        return cls._of_bytes(whole, path, digest, notes)
+        return cls._checked(metadata, columns, path, digest.result(), notes + left_out)
 
     @classmethod
     def parse(
@@ -87,29 +88,8 @@ class Log:
     ) -> Log:
         """Make a log of its text. *dropped* are sentences that the caller already has to say. Raises LogError."""
         data = text.encode()
-        return cls._of_bytes(data, Path(path), sha256 or hashlib.sha256(data).hexdigest(), list(dropped))
-
-    @classmethod
-    def _of_bytes(cls, data: bytes, path: Path, sha256: str, notes: list[str]) -> Log:
-        if b"\r" in data:
-            data = data.replace(b"\r\n", b"\n")
-        begin = len(BYTE_ORDER_MARK) if data.startswith(BYTE_ORDER_MARK) else 0
-        if len(data) == begin or data[begin:].isspace():
-            raise LogError(f"the log {path} is empty")
-        if b"\0" in data[:MAX_LINE_CHARS]:
-            raise LogError(f"{path} is not a log: it holds zero bytes")
-        end = data.rfind(b"\n") + 1
-        if end < len(data):
-            notes.append("the last line, which is cut off in its middle")
-        head = _decoded(data, begin, min(_after_line(data, begin + HEAD_BYTES), end), path)
-        metadata, names, start, first_line = read_head(head, path)
-        check_names(names, path)
-        start = begin + len(head[:start].encode())
-        del head  # up to megabytes of rows
-        pieces, most_rows = _pieces(data, start, end), data.count(b"\n", start, end)
-        table = parse_rows(pieces, most_rows, names, needed_columns(names), first_line, str(path), start)
-        notes += table.notes
-        return cls._checked(metadata, table.columns, path, sha256, notes)
+        metadata, columns, left_out = _parsed(data, Path(path))
+        return cls._checked(metadata, columns, Path(path), sha256 or _sha256(data), [*dropped, *left_out])
 
     @classmethod
     def from_columns(
@@ -130,10 +110,8 @@ class Log:
         cls, metadata: dict[str, str], columns: dict[str, FloatArray], path: Path, sha256: str, notes: list[str]
     ) -> Log:
         needed = needed_columns(list(columns))
-        whole = np.abs(columns["time_s"]) <= MAX_NUMBER
-        for name in needed:
-            whole &= np.abs(columns[name]) <= MAX_NUMBER
-        if not np.all(whole):
+        if not all(_largest(columns[name]) <= MAX_NUMBER for name in needed):
+            whole = np.logical_and.reduce([np.abs(columns[name]) <= MAX_NUMBER for name in needed])
             first = int(np.argmin(whole))
             notes.append(
                 f"{int(np.sum(~whole))} rows with missing or infinite numbers, or beyond {MAX_NUMBER:g} (the first is "
@@ -141,28 +119,28 @@ class Log:
             )
             columns = {name: values[whole] for name, values in columns.items()}
         for name, values in columns.items():  # a picture of what is beyond cannot be drawn either
-            if name not in needed and np.any(np.abs(values) > MAX_NUMBER):
+            if name not in needed and not _largest(values) <= MAX_NUMBER and np.any(np.abs(values) > MAX_NUMBER):
                 columns[name] = np.where(np.abs(values) > MAX_NUMBER, np.nan, values)
                 notes.append(f"numbers beyond {MAX_NUMBER:g} in column {name}")
         time_s = columns["time_s"]
-        if time_s.size:
-            steps = np.diff(time_s)
-            if np.any(steps < 0):
-                row = int(np.argmax(steps < 0)) + 1
-                raise LogError(
-                    f"{path}: time runs backwards at row {row + 1} ({time_s[row - 1]:g} s, then {time_s[row]:g} s); "
-                    "two runs in one file must be split"
-                )
-            if np.any(steps == 0):
-                keep = np.concatenate(([True], steps > 0))
-                notes.append(f"{int(np.sum(~keep))} rows that repeat the time of the row before")
-                columns = {name: values[keep] for name, values in columns.items()}
+        steps_s = np.diff(time_s)
+        least_s = steps_s.min(initial=math.inf)
+        if least_s < 0:
+            row = int(np.argmax(steps_s < 0)) + 1
+            raise LogError(
+                f"{path}: time runs backwards at row {row + 1} ({time_s[row - 1]:g} s, then {time_s[row]:g} s); "
+                "two runs in one file must be split"
+            )
+        if least_s == 0:
+            keep = np.concatenate(([True], steps_s > 0))
+            notes.append(f"{int(np.sum(~keep))} rows that repeat the time of the row before")
+            columns, steps_s = {name: values[keep] for name, values in columns.items()}, steps_s[keep[1:]]
         if not columns["time_s"].size:
             raise LogError(f"the log {path} holds no whole row" + (f" (dropped: {'; '.join(notes)})" if notes else ""))
         for values in columns.values():
             values.setflags(write=False)
         log = cls(metadata, columns, path, sha256, tuple(notes))
-        return cls(metadata, columns, path, sha256, (*notes, *log._doubts()))
+        return cls(metadata, columns, path, sha256, (*notes, *log._doubts(steps_s)))
 
     def stretches(self, rows: int, count: int) -> list[Log]:
         """Logs of *rows* rows in all, *count* stretches spread evenly from the first row to the last; each says so. The
@@ -247,12 +225,17 @@ class Log:
     @cached_property
     def sample_time_s(self) -> float:
         """Seconds between ticks: the metadata's, else the median distance of rows."""
+        return self._sample_time_s(np.diff(self.time_s))
+
+    def _sample_time_s(self, steps_s: FloatArray) -> float:
         stated = self._number("sample_time_s", 0.0, low=0.0, high=3600.0)
         if len(self) < 2:
             if not stated:
                 raise LogError(f"{self.path}: one row and no sample_time_s in the metadata")
             return stated
-        step = float(np.median(np.diff(self.time_s)))
+        if stated and 2 * np.count_nonzero(steps_s < 0.7 * stated) < steps_s.size:
+            return stated  # the median is no smaller
+        step = float(np.median(steps_s))
         if not stated:
             return step
         if step < 0.7 * stated:
@@ -329,8 +312,8 @@ class Log:
             raise LogError(f"{self.path}: the metadata say {key} = {text[:40]!r}, which is no sensible number")
         return value
 
-    def _doubts(self) -> list[str]:
-        """Refuse what is no log; return sentences on gaps and doubtful angles."""
+    def _doubts(self, steps_s: FloatArray) -> list[str]:
+        """Refuse what is no log; return sentences on gaps and doubtful angles. *steps_s* are from row to row."""
         schema = self.metadata.get("schema", SCHEMA)
         if schema != SCHEMA:
             raise LogError(f"{self.path}: schema is {schema[:60]!r}, this version reads {SCHEMA!r}")
@@ -343,15 +326,15 @@ class Log:
         _ = self.output_average, self.output_quantum, self.output_noise_rms, self.command_delay_ticks, self.pwm_hz
         if len(self) < 2:
             return []
-        steps = np.diff(self.time_s) / self.sample_time_s
-        if steps.sum() > MAX_EMPTY_TICKS * len(self) + 1_000_000:
+        sample_s = self._sample_time_s(steps_s)
+        if steps_s.sum() / sample_s > MAX_EMPTY_TICKS * len(self) + 1_000_000:
             raise LogError(
                 f"{self.path}: {len(self)} rows over {self.time_s[-1] - self.time_s[0]:g} s with a sample time of "
                 f"{self.sample_time_s:g} s: nearly all ticks are missing, or the time column is broken"
             )
-        gaps = np.rint(steps).astype(np.int64) - 1
         doubts = []
-        if np.any(gaps > 0):
+        if steps_s.max() / sample_s >= 1.5:
+            gaps = np.rint(steps_s / sample_s).astype(np.int64) - 1
             worst, missing = int(np.argmax(gaps)), int(gaps.clip(0).sum())
             doubts.append(
                 f"{counted(missing, 'tick')} {'is' if missing == 1 else 'are'} missing "
@@ -367,28 +350,52 @@ class Log:
         return doubts
 
     def _check_range(self, name: str, low: float, high: float, *, whole: bool = False) -> None:
-        values = self.columns[name]
-        bad = (values < low) | (values > high)
-        if whole:
-            bad |= values != np.rint(values)
-        if np.any(bad):
-            row = int(np.argmax(bad))
-            kind = "a whole number in " if whole else "in "
-            raise LogError(f"{self.path}: {name} = {values[row]:g} in row {row + 1} is not {kind}{low:g}..{high:g}")
+        for begin, values in _blocks(self.columns[name]):
+            bad = (values < low) | (values > high)
+            if whole:
+                bad |= values != np.rint(values)
+            if np.any(bad):
+                at = int(np.argmax(bad))
+                kind = "a whole number in " if whole else "in "
+                raise LogError(
+                    f"{self.path}: {name} = {values[at]:g} in row {begin + at + 1} is not {kind}{low:g}..{high:g}"
+                )
 
 
-def _after_line(data: bytes, at: int) -> int:
-    """Where the line ends in which that byte is."""
-    found = data.find(b"\n", at)
-    return len(data) if found < 0 else found + 1
+def _blocks(values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
+    """Some rows at a time, and where they begin."""
+    return ((begin, values[begin : begin + BLOCK_ROWS]) for begin in range(0, values.size, BLOCK_ROWS))
 
 
-def _pieces(data: bytes, start: int, end: int) -> Iterator[bytes]:
-    """Whole lines, some megabytes at a time."""
-    while start < end:
-        stop = min(_after_line(data, start + PIECE_BYTES), end)
-        yield data[start:stop]
-        start = stop
+def _largest(values: FloatArray) -> float:
+    """Of the magnitudes; NaN where one is."""
+    return float(np.max([np.abs(block).max() for _, block in _blocks(values)], initial=0.0))
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _parsed(data: bytes, path: Path) -> tuple[dict[str, str], dict[str, FloatArray], list[str]]:
+    """Metadata, columns as they stand, and sentences on what is left out. Raises LogError."""
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n")
+    begin = len(BYTE_ORDER_MARK) if data.startswith(BYTE_ORDER_MARK) else 0
+    if len(data) == begin or data[begin:].isspace():
+        raise LogError(f"the log {path} is empty")
+    if b"\0" in data[:MAX_LINE_CHARS]:
+        raise LogError(f"{path} is not a log: it holds zero bytes")
+    end = data.rfind(b"\n") + 1
+    notes = ["the last line, which is cut off in its middle"] if end < len(data) else []
+    stop = begin  # of the head, and of a few rows
+    for _ in range(MAX_METADATA_LINES + 1):
+        stop = after_line(data, stop) if stop < begin + HEAD_BYTES else stop
+    head = _decoded(data, begin, min(stop, end), path)
+    metadata, names, start, first_line = read_head(head, path)
+    check_names(names, path)
+    start = begin + len(head[:start].encode())
+    table = parse_rows(data, start, end, names, needed_columns(names), first_line, str(path))
+    return metadata, table.columns, notes + list(table.notes)
 
 
 def _decoded(data: bytes, start: int, stop: int, path: Path) -> str:

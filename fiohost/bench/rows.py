@@ -6,18 +6,21 @@ field by field. All three read a number as the double next to it, so it does not
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fiohost.bench.integrity import line_ends
 from fiohost.errors import LogError
 
 MAX_COLUMNS = 200
 MAX_BAD_SHARE = 0.1  # of all lines: a file with more broken lines than this is not a log
 MAX_NAMED_COLUMNS = 3
+PIECE_BYTES = 4_000_000  # that are read at a time: what is in between takes little memory
 LARGE_BYTES = 1_000_000  # from here on pyarrow is worth its import
+
+Parts = dict[str, list[NDArray[np.float64]]]  # by column, one array after the other
 
 
 @dataclass(frozen=True)
@@ -29,35 +32,34 @@ class Rows:
 
 
 def parse_rows(
-    pieces: Iterable[bytes], most_rows: int, names: list[str], needed: list[str], first_line: int, where: str,
-    at: int = 0,
-) -> Rows:  # fmt: skip
-    """Read the lines after the header, which come in *pieces* of whole lines, *most_rows* in all, from
-    byte *at* of the file on.
+    data: bytes, start: int, end: int, names: list[str], needed: list[str], first_line: int, where: str
+) -> Rows:
+    """Read the lines after the header, *start* to *end* of a file's bytes; *first_line* is the number of their first.
 
     Lines with too few or too many fields, or with text in one of the *needed* columns, are left out; other columns
     that hold text are left out whole. Raises LogError where a tenth of the lines or more are broken.
     """
     if len(names) > MAX_COLUMNS:
         raise LogError(f"{where} is not a log: {len(names)} columns, at most {MAX_COLUMNS} are read")
-    columns = {name: np.empty(most_rows) for name in names}
+    columns = dict(zip(names, np.empty((len(names), line_ends(data, start, end))), strict=True))
     textual: dict[str, None] = {}
     bad = rows = kept = 0
     first_bad = -1
-    for piece in pieces:
+    begin = start
+    while start < end:
+        stop = min(after_line(data, start + PIECE_BYTES), end)
         try:
-            found = _parse_piece(piece, names, needed)
+            found = _parse_piece(data, start, stop, names, needed)
         except UnicodeDecodeError as exc:
-            raise LogError(f"{where} is not a log: byte {at + exc.start} is not UTF-8 text") from exc
-        at += len(piece)
+            raise LogError(f"{where} is not a log: byte {start + exc.start} is not UTF-8 text") from exc
         if found.bad and first_bad < 0:
-            first_bad = first_line + found.bad[0]
-        bad, rows, first_line = bad + len(found.bad), rows + found.rows, first_line + found.lines
+            first_bad = first_line + line_ends(data, begin, start) + found.bad[0]
+        start, bad, rows = stop, bad + len(found.bad), rows + found.rows
         textual |= dict.fromkeys(found.textual)
         columns = {name: values for name, values in columns.items() if name in found.columns}
-        before, kept = kept, kept + len(next(iter(found.columns.values())))
+        before, kept = kept, kept + sum(map(len, next(iter(found.columns.values()))))
         for name, values in columns.items():
-            values[before:kept] = found.columns[name]
+            np.concatenate(found.columns[name], out=values[before:kept])
     if bad > max(1.0, MAX_BAD_SHARE * (rows + bad)):
         raise LogError(
             f"{where}: {bad} of {rows + bad} lines do not fit the {len(names)} columns "
@@ -74,20 +76,25 @@ def parse_rows(
 
 @dataclass(frozen=True)
 class _Piece:
-    """Whole rows of some lines, by column; the lines that are none, counted from the first; columns that hold text."""
+    """Whole rows of some lines; the lines that are none, counted from the first; columns that hold text."""
 
-    columns: dict[str, NDArray[np.float64]]
+    columns: Parts
     rows: int
-    lines: int
     bad: list[int]
     textual: list[str]
 
 
-def _parse_piece(piece: bytes, names: list[str], needed: list[str]) -> _Piece:
-    found = _large(piece, names) if len(piece) >= LARGE_BYTES else None
+def after_line(data: bytes, at: int) -> int:
+    """Where the line ends in which that byte is."""
+    found = data.find(b"\n", at)
+    return len(data) if found < 0 else found + 1
+
+
+def _parse_piece(data: bytes, start: int, end: int, names: list[str], needed: list[str]) -> _Piece:
+    found = _large(data, start, end, names) if end - start >= LARGE_BYTES else None
     if found is not None:
         return found
-    text = piece.decode()
+    text = data[start:end].decode()
     for empty, nan in ((",,", ",nan,"), (",,", ",nan,"), (",\n", ",nan\n"), ("\n,", "\nnan,")):
         text = text.replace(empty, nan)
     if text.startswith(","):
@@ -97,26 +104,25 @@ def _parse_piece(piece: bytes, names: list[str], needed: list[str]) -> _Piece:
         filled = [line for line in lines if line]
         columns = _fast(filled, names)  # None where a line does not fit
         if columns is not None:
-            return _Piece(columns, len(filled), len(lines) - (not lines[-1]), [], [])
+            return _Piece(columns, len(filled), [], [])
     commas = len(names) - 1
     fits = [line.count(",") == commas and line[:1] != "#" for line in lines]
     if len(names) == 1:
         fits = [ok and bool(line.strip()) for ok, line in zip(fits, lines, strict=True)]
     bad = [i for i, ok in enumerate(fits) if not ok and lines[i].strip() and lines[i][0] != "#"]
     rows = [line for line, ok in zip(lines, fits, strict=True) if ok]
-    count = len(lines) - (not lines[-1])
     columns = _fast(rows, names)
     if columns is not None:
-        return _Piece(columns, len(rows), count, bad, [])
+        return _Piece(columns, len(rows), bad, [])
     columns, broken, textual = _careful(rows, names, needed)
     if broken.any():
         numbers = [i for i, ok in enumerate(fits) if ok]
         bad = sorted(bad + [numbers[i] for i in np.flatnonzero(broken)])
-        columns = {name: values[~broken] for name, values in columns.items()}
-    return _Piece(columns, len(rows), count, bad, textual)
+        columns = {name: [part[~broken] for part in parts] for name, parts in columns.items()}
+    return _Piece(columns, len(rows), bad, textual)
 
 
-def _large(piece: bytes, names: list[str]) -> _Piece | None:
+def _large(data: bytes, start: int, end: int, names: list[str]) -> _Piece | None:
     """A piece of clean rows by pyarrow; None without it, or where a line is anything else.
 
     The last line may be a remark, as every log ends with one.
@@ -125,54 +131,53 @@ def _large(piece: bytes, names: list[str]) -> _Piece | None:
         from pyarrow import ArrowException, BufferReader, csv, float64
     except ImportError:
         return None
-    last = piece.rfind(b"\n", 0, len(piece) - 1) + 1
-    end = last if piece.startswith(b"#", last) else len(piece)
-    if b"\r" in piece or not piece.endswith(b"\n"):
+    last = max(start, data.rfind(b"\n", start, end - 1) + 1)
+    stop = last if data.startswith(b"#", last, end) else end
+    if data.find(b"\r", start, end) >= 0 or not data.endswith(b"\n", start, end) or not data[stop:end].isascii():
         return None  # what ends a line is not the same to both
     try:
         table = csv.read_csv(
-            BufferReader(memoryview(piece)[:end]),
+            BufferReader(memoryview(data)[start:stop]),
             csv.ReadOptions(column_names=names),
             csv.ParseOptions(quote_char=False, double_quote=False),
             csv.ConvertOptions(column_types=dict.fromkeys(names, float64()), null_values=[""]),
         )
     except ArrowException:
         return None
-    columns = {name: table.column(name).to_numpy() for name in names}  # what is empty is NaN
-    return _Piece(columns, table.num_rows, piece.count(b"\n"), [], [])
+    parts = {name: table.column(name).chunks for name in names}
+    columns = {name: [part.to_numpy(zero_copy_only=False) for part in parts[name]] for name in names}  # empty is NaN
+    return _Piece(columns, table.num_rows, [], [])
 
 
-def _fast(rows: list[str], names: list[str]) -> dict[str, NDArray[np.float64]] | None:
+def _fast(rows: list[str], names: list[str]) -> Parts | None:
     """All columns at once; None where a field is not a number."""
     if not rows:
-        return {name: np.zeros(0) for name in names}
+        return {name: [np.zeros(0)] for name in names}
     try:
         table = np.loadtxt(rows, delimiter=",", comments=None, dtype=np.float64, ndmin=2)
     except ValueError:
         return None
     if table.shape != (len(rows), len(names)):
         return None
-    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+    return {name: [table[:, i]] for i, name in enumerate(names)}
 
 
-def _careful(
-    rows: list[str], names: list[str], needed: list[str]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.bool_], list[str]]:
+def _careful(rows: list[str], names: list[str], needed: list[str]) -> tuple[Parts, NDArray[np.bool_], list[str]]:
     """Column by column: the numbers, which rows have text in a needed column, and which columns are text."""
     fields = list(zip(*(row.split(",") for row in rows), strict=True))
     broken = np.zeros(len(rows), dtype=np.bool_)
-    columns: dict[str, NDArray[np.float64]] = {}
+    columns: Parts = {}
     textual: list[str] = []
     for name, values in zip(names, fields, strict=True):
         try:
-            columns[name] = np.array(values).astype(np.float64)
+            columns[name] = [np.array(values).astype(np.float64)]
         except ValueError:
             if name not in needed:
                 textual.append(name)
                 continue
             numbers = [_number(value) for value in values]
             broken |= np.array([number is None for number in numbers])
-            columns[name] = np.array([np.nan if number is None else number for number in numbers])
+            columns[name] = [np.array([np.nan if number is None else number for number in numbers])]
     return columns, broken, textual
 
 

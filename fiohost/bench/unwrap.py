@@ -37,10 +37,11 @@ def _shortest(pos: NDArray[np.float64], counts_per_rev: int) -> NDArray[np.float
     """Counts from each reading to the next, shape (rows - 1,), at most half a turn either way."""
     half = counts_per_rev // 2
     steps = np.diff(pos)
-    steps += half
-    steps %= counts_per_rev
-    steps -= half
-    return steps
+    turns = (steps + half) / counts_per_rev  # whole ones are taken off: exact, and much faster than a remainder
+    np.floor(turns, out=turns)
+    turns *= -counts_per_rev
+    turns += steps
+    return turns
 
 
 def ambiguous_steps(
@@ -53,7 +54,8 @@ def ambiguous_steps(
     """
     if pos.size < 2:
         return np.zeros(0, dtype=np.int64)
-    steps = np.abs(_shortest(pos, counts_per_rev))
+    steps = _shortest(pos, counts_per_rev)
+    np.abs(steps, out=steps)
     limit = SAFE_TURN * counts_per_rev
     far = steps > limit
     gaps_s = np.diff(time_s)

@@ -28,13 +28,13 @@ from typing import Any
 import numba as _numba
 from numba.extending import register_jitable
 
-from fiohost.motor.linked import HelperCompiler, InlinedCompiler, PartCompiler, call_by_address
+from fiohost.motor.linked import EntryCompiler, HelperCompiler, InlinedCompiler, PartCompiler, call_by_address
 
 numba: Any = _numba  # its stubs know neither the cache directory nor the switch of reference counts
 
 PRIVATE = 0o700
 ROUNDING = {"contract"}
-PART: dict[str, Any] = {
+OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": ROUNDING,
     "_nrt": False,
@@ -107,9 +107,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder or "")
     try:
-        return numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath=ROUNDING, _nrt=False)(
-            function
-        )
+        return numba.njit(cache=folder is not None, nogil=True, pipeline_class=EntryCompiler, **OPTIONS)(function)
     finally:
         numba.config.CACHE_DIR = before
 
@@ -126,7 +124,7 @@ def shared(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         def from_python(*args: Any) -> Any:
             return entry(*args)
 
-        call_by_address(from_python, entry, signature, PART)
+        call_by_address(from_python, entry, signature, OPTIONS)
         return from_python
 
     return made
@@ -134,17 +132,17 @@ def shared(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel that is called, not repeated wherever it is used."""
-    return register_jitable(pipeline_class=PartCompiler, **PART)(function)
+    return register_jitable(pipeline_class=PartCompiler, **OPTIONS)(function)
 
 
 def helper(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel that is called or repeated, as LLVM finds best."""
-    return register_jitable(pipeline_class=HelperCompiler, **PART)(function)
+    return register_jitable(pipeline_class=HelperCompiler, **OPTIONS)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a part of an entry kernel; it is kept with the kernel that calls it."""
-    return register_jitable(pipeline_class=InlinedCompiler, **PART)(function)
+    return register_jitable(pipeline_class=InlinedCompiler, **OPTIONS)(function)
 
 
 @inlined

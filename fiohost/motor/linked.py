@@ -8,6 +8,7 @@ all kernels takes twice the time.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
@@ -18,6 +19,8 @@ from numba.core.cgutils import get_or_insert_function, if_unlikely, unpack_tuple
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.extending import intrinsic, overload
+
+OBJECTS = 50_000  # that are made between two looks for garbage; some 10 MB
 
 
 class Draft(JITCodeLibrary):
@@ -48,6 +51,18 @@ class Draft(JITCodeLibrary):
 
     def set_env(self, name: str, env: Any) -> None:
         """No machine code, so nothing reads it."""
+
+
+class EntryCompiler(Compiler):
+    """Numba's own, but that garbage is looked for more seldom: a compiler makes many objects that live on."""
+
+    def compile_extra(self, func: Any) -> Any:
+        kept = gc.get_threshold()
+        gc.set_threshold(kept[0] and max(kept[0], OBJECTS), *kept[1:])
+        try:
+            return super().compile_extra(func)
+        finally:
+            gc.set_threshold(*kept)
 
 
 class PartCompiler(Compiler):
