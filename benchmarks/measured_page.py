@@ -114,6 +114,7 @@ def common(told: Mapping[str, Any], scale: float = 1.0) -> dict[str, str]:
     """What every section says of a diagnosis."""
     return {
         "verdict": words.verdict_sentence(told),
+        "own": words.own_start_sentence(told),
         "verdict_name": told["verdict"],
         "short": ", ".join(words.effect_words(step["effect"]) for step in told["steps"]) or "nothing",
         "names": names_text(told),
