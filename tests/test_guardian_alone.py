@@ -47,6 +47,7 @@ class World:
 
     def select(self, read: list[int], write: list[int], wrong: list[int], wait_s: float) -> tuple[list[int], ...]:
         self.sleep(wait_s)
+        assert (read, write, wrong) == ([0], [], [])
         word = self._script(self.turn)
         self.word = word or b""
         return (read if word is not None else [], [], [])
@@ -55,7 +56,7 @@ class World:
         clock = SimpleNamespace(monotonic=lambda: self.now_s, sleep=self.sleep)
         monkeypatch.setattr(cell, "time", clock)
         monkeypatch.setattr(cell, "select", SimpleNamespace(select=self.select))
-        monkeypatch.setattr(cell.os, "read", lambda fd, size: (self.word[:size], fd)[0])
+        monkeypatch.setattr(cell.os, "read", lambda fd, size: self.word if (fd, size) == (0, 1) else b"?")
         settings = {"frames": [frame.hex() for frame in FRAMES], "limit_s": LIMIT_S, "step_s": STEP_S}
         line: Any = self
         return cell.watch(line, self.cells, settings)
@@ -113,7 +114,7 @@ def test_beats_that_stop_are_followed_by_a_brake_a_step_until_the_host_takes_ove
 def test_a_host_that_does_not_drive_may_be_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(beats_until(0, lambda: world, 50), armed=False)
     assert world.watch(monkeypatch) is False
-    assert (world.sent, set(world.waits_s)) == ([], {cell.IDLE_S})
+    assert (world.sent, set(world.waits_s)) == ([], {0.05})  # so soon it hears that it has to watch
 
 
 @pytest.mark.parametrize("armed", [True, False])
@@ -149,8 +150,16 @@ def test_a_copy_of_the_line_is_written_to_as_it_is() -> None:
     os.close(read)
 
 
-def test_a_descriptor_of_zero_is_one() -> None:
-    assert line_out(fd=0).open() is True
+def test_a_descriptor_of_zero_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[object] = []
+    monkeypatch.setattr(cell.os, "open", lambda *asked: (done.append("open"), 0)[1])
+    monkeypatch.setattr(cell.os, "write", lambda fd, report: done.append((fd, report)))
+    monkeypatch.setattr(cell.os, "close", done.append)
+    for line in (line_out(fd=0), line_out(path="node")):
+        assert line.open() is True
+        line.send(b"abc")
+        line.close()
+    assert done == [(0, b"abc"), 0, "open", (0, b"abc"), 0]
 
 
 def test_a_node_is_opened_when_it_is_there(tmp_path: Path) -> None:
@@ -194,6 +203,17 @@ def test_a_hidapi_module_is_opened_once_and_closed(monkeypatch: pytest.MonkeyPat
     assert done == [b"1-2:1.0", b"\x05abc", "closed"]
 
 
+def test_what_it_says_is_said_at_once_or_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[tuple[int, bytes]] = []
+    for is_read in (True, False):
+        ready = [2] if is_read else []
+        select = lambda read, write, wrong, wait_s: ([], ready if (write, wait_s) == ([2], 0.0) else [], [])  # noqa: E731, B023
+        monkeypatch.setattr(cell, "select", SimpleNamespace(select=select))
+        monkeypatch.setattr(cell.os, "write", lambda fd, text: said.append((fd, text)))
+        cell._say("words")
+    assert said == [(2, b"words")]
+
+
 def test_a_reader_who_has_stopped_reading_does_not_hold_it() -> None:
     """Whatever standard error is: full, closed or read."""
     read, write = os.pipe()
@@ -225,12 +245,16 @@ class Process:
         self.waits: list[float | None] = []
         self.is_slow = False
         self.was_killed = False
+        self.far: socket.socket | None = None  # its end of the line to the host
+        self.heard = b"nothing"
 
     def poll(self) -> int | None:
         return self.ended
 
     def wait(self, timeout_s: float | None = None) -> int:
         self.waits.append(timeout_s)
+        if self.far is not None and len(self.waits) == 1:
+            self.heard = self.far.recv(10, socket.MSG_DONTWAIT)
         if self.is_slow and not self.was_killed:
             raise subprocess.TimeoutExpired("guardian", timeout_s or 0.0)
         return 0
@@ -247,6 +271,7 @@ class Side:
         self.cells[cell.STATE], self.cells[cell.REACHES] = cell.READY, 1
         self.process: Any = Process()
         self.word, self.far = socket.socketpair()
+        self.process.far = self.far
         self.guardian = Guardian(self.process, self.cells, self.word, gap_s)
 
 
@@ -354,7 +379,7 @@ def test_it_is_told_how_the_line_was_closed_and_waited_for(
     side: Side, braked: bool, word: bytes, limit_s: float
 ) -> None:
     side.guardian.close(braked=braked)
-    assert side.far.recv(10) == word
+    assert side.process.heard == word
     assert side.process.waits == [limit_s]
     assert not side.process.was_killed
     assert side.word.fileno() < 0
@@ -365,7 +390,7 @@ def test_one_that_does_not_end_is_ended(side: Side) -> None:
     side.guardian.close()
     assert side.process.was_killed
     assert side.process.waits == [2.0, None]
-    assert side.far.recv(10) == b"q"  # as it is where nobody says whether the motor was braked
+    assert side.process.heard == b"q"  # as it is where nobody says whether the motor was braked
 
 
 # ---- starting it ---------------------------------------------------------------------------------------------------

@@ -38,9 +38,9 @@ def keyed(key: str, value: object) -> Layout:
     """A layout with one number set."""
     where, _, name = key.rpartition(".")
     if where == "crc":
-        return layout(length=4096, crc={"name": "CRC-16/ARC", "offset": 10, "end": 3, **{name: value}})
+        return layout(length=4096, crc={"name": "CRC-16/ARC", "offset": 10, "end": 3, name: value})
     if where == "field":
-        return layout(length=4096, fields=[DIRECTION, {"name": "pos", "type": "u16", **{name: value}}])
+        return layout(length=4096, fields=[DIRECTION, {"name": "pos", "type": "u16", name: value}])
     return layout(**{"length": 4096, key: value})
 
 
@@ -103,7 +103,7 @@ def test_a_header_is_sixteen_bytes_at_most() -> None:
 )
 def test_a_crc_is_of_other_bytes_than_its_own(crc: dict[str, int], is_sound: bool) -> None:
     if not is_sound:
-        with pytest.raises(ConfigError, match="the CRC's bytes .* are not a part of the report"):
+        with pytest.raises(ConfigError, match=r"the CRC's bytes .* are not a part of the report"):
             layout(crc={"name": "CRC-16/ARC", **crc})
         return
     told = layout(crc={"name": "CRC-16/ARC", **crc})
