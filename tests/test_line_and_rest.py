@@ -131,9 +131,10 @@ def test_numbered_reports_say_their_step_themselves() -> None:
         clock.time_s += 1.0  # no clock is asked
         steps.append(line.steps)
     assert steps == [1, 2, 6, 7]
+    assert line.steps_are_a_guess is False
     line.begin()
     board.lay(*numbered(500))
-    line.tick()
+    assert line.tick() is not None
     assert (line.steps, line.statistics.link.lost) == (8, 3)  # what came while nobody listened is not lost
 
 
@@ -169,7 +170,7 @@ def test_a_late_computer_is_told_from_a_slow_board(
     turned_ticks: float, waited_ticks: float, unread: int, was_late: bool, counted: int
 ) -> None:
     line, board, clock = made()
-    board.lay(GOOD).lay(GOOD, takes_s=waited_ticks * TICK_S, passed_over=unread)
+    board.lay(GOOD, passed_over=4).lay(GOOD, takes_s=waited_ticks * TICK_S, passed_over=unread)
     line.tick()
     clock.time_s += turned_ticks * TICK_S
     line.tick()
@@ -233,6 +234,11 @@ def test_reports_that_cannot_be_one_are_passed_over_for_as_long_as_silence_may_l
         with pytest.raises(ReportError, match="63 bytes"):
             line.tick()
     assert (line.statistics.refused, line.statistics.silent) == (20, 0)
+    line, board, _ = made(replace(PLAIN, guards=PLAIN.guards.changed({"silence_s": 4 * TICK_S})))
+    board.lay(*[BAD] * 4)
+    assert [line.tick() for _ in range(3)] == [None] * 3
+    with pytest.raises(ReportError):
+        line.tick()
 
 
 def test_silence_on_a_real_line_is_said_at_once_and_in_lock_step_after_its_time() -> None:
@@ -259,6 +265,8 @@ def test_a_stream_of_garbage_ends_with_the_time_that_silence_may_last() -> None:
     board.lay(one[:5], one[5:] + two, takes_s=0.0)
     reading = line.newest()
     assert (reading.tick, line.statistics.passed_over) == (2, 1)
+    board.lay(b"".join(numbered(3, 4, 5)), takes_s=0.0, passed_over=10)
+    assert (line.newest().tick, line.statistics.passed_over) == (5, 13)
     exact = replace(STREAM, guards=STREAM.guards.changed({"silence_s": 4 * TICK_S}))
     line, board, clock = made(exact, stream=True)
     board.lay(*[b"garbage"] * 9)
