@@ -317,7 +317,7 @@ def test_a_shaft_stands_when_a_tenth_of_a_second_of_readings_says_so() -> None:
         assert (found.is_known, found.stands) == (False, False)
         found.note(k, 5 + k % 2)
     assert (found.is_known, found.stands) == (True, True)
-    found.note(14, 8)
+    found.note(14, 7)
     assert (found.is_known, found.stands) == (True, False)
     slow = shaft(replace(PLAIN, sample_time_s=1.0))
     slow.note(0, 5)
@@ -497,6 +497,9 @@ def test_a_load_may_turn_it_on_with_a_warning(caplog: pytest.LogCaptureFixture) 
         caplog.clear()
         assert braked(StubLine(lambda k: (sign * k * 6 // 7) % 720)) == 256  # noqa: B023
         assert f"braked, and the shaft still turns at {sign * 54} deg/s: a load does that" in caplog.text
+    exact = StubLine(lambda k: k)
+    exact.profile = replace(PLAIN, guards=PLAIN.guards.changed({"braked_deg_s": 64.0}))
+    assert braked(exact) == 256
     slow = StubLine(lambda k: (k * 6 // 7) % 720)
     slow.profile = replace(PLAIN, guards=PLAIN.guards.changed({"braked_deg_s": 40.0}))
     with pytest.raises(MotorRunningError):
