@@ -41,10 +41,13 @@ from scipy.stats import beta
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("fiohost/wire", "fiohost/transport", "fiohost/bench")
 TESTS = (
-    "api", "bench", "board", "cli_drive", "deadband_methods", "doctor", "edges", "exact_bounds", "exact_steps",
-    "experiments", "faults", "framing", "front_door", "guardian", "hid_line", "in_hand", "instruments", "integrity",
-    "limits_hold", "lines", "log", "log_rows", "long_logs", "manual_keys", "motor_guard", "readings", "real_time",
-    "safe_stops", "serial_line", "served_board", "stop_keys", "table_log", "time_convention", "trace", "wire",
+    "api", "bench", "bench_parts", "board", "cli_drive", "deadband_methods", "deadband_parts", "doctor",
+    "doctor_parts", "edges", "exact_bounds", "exact_steps", "experiments", "faults", "framing", "front_door",
+    "guardian", "guardian_alone", "hid_line", "in_hand", "instruments", "integrity", "limits_hold", "line_and_rest",
+    "lines", "lines_to_the_letter", "log", "log_numbers", "log_rows", "long_logs", "manual_keys", "motor_guard",
+    "rate_and_clock", "readings", "real_time", "safe_stops", "serial_line", "served_board", "signal_values",
+    "statements", "stop_keys", "table_log", "time_convention", "trace", "traces_to_the_letter", "watching", "wire",
+    "wire_bounds",
 )  # fmt: skip
 APART = {  # tests of files that run where coverage.py cannot look, or that only slow tests come by
     "fiohost/bench/guardian_process.py": ("tests/test_guardian_alone.py", "tests/test_guardian.py"),
