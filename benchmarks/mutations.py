@@ -60,6 +60,7 @@ PARTS = 3
 BUDGET_S = 30.0  # of tests for a mutant, by what they took in the first run; what is beyond is said
 NOTHING = "as it is"  # what was changed, of a control
 LIMIT_S = 120.0  # beside ten times what the tests took: a mutant that hangs is killed, and counted as such
+WARM = "tests/test_statements.py"  # compiles the simulation: that is done once, before a limit counts
 ASKED = "FIOHOST_MUTANT"
 # in the tests and in each program that they start: one module is loaded from another file
 HOOK = f"""
@@ -419,6 +420,7 @@ def main() -> int:
         (checkout / "sitecustomize.py").write_text(HOOK)
         alone = asked.alone or bool(asked.again)
         covered = Covered(alone=True) if alone else _covered(kept / "covered.json", checkout)
+        in_a_child(partial(tested, checkout, [WARM]), 3600.0)
         covered.also, covered.budget_s, covered.limit_s = asked.also, asked.budget, asked.limit
         return _try([replace(m, what=NOTHING) for m in controls] + drawn, covered, checkout, asked.jobs)
 
