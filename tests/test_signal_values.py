@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ QUARTERS = np.arange(8) * 0.25
         (Sine(duration_s=2.0, amplitude=4.0, mean=1.0, period_s=1.0), [1, 5, 1, -3, 1, 5, 1, -3]),
         (Sine(duration_s=2.0, amplitude=4.0, period_s=2.0), 4.0 * np.sin(np.pi * QUARTERS)),
         (Ramp(duration_s=1.0, begin=2.0, end=6.0), [2, 3, 4, 5, 6, 6, 6, 6]),
+        (Ramp(duration_s=2.0, begin=-4.0, end=4.0), [-4, -3, -2, -1, 0, 1, 2, 3]),
         (Pulses(duration_s=2.0, levels=(8.0, 9.0), on_s=0.5, off_s=0.25), [8, 8, 0, 9, 9, 0, 8, 8]),
     ],
 )
@@ -71,9 +72,11 @@ def test_a_time_at_an_edge_belongs_to_what_begins() -> None:
         Staircase(duration_s=1.0, levels=(0.0, 1.0), step_s=0.3),
         Square(duration_s=1.0, low=0.0, high=1.0, period_s=0.6),
         Pulses(duration_s=1.0, levels=(0.0, 1.0), on_s=0.2, off_s=0.1),
+        Pulses(duration_s=1.0, levels=(-1.0,), on_s=0.3, off_s=0.7, rest="standby"),
     ):
         at = np.array([0.3 - 1e-6, 0.3 - 1e-12, 0.3, 0.3 + 1e-6])
-        assert signal.values(at).tolist() == [0.0, 1.0, 1.0, 1.0], signal
+        wanted = [0.0, 1.0, 1.0, 1.0] if signal.standby(at).sum() == 0 else [-1.0, 0.0, 0.0, 0.0]
+        assert signal.values(at).tolist() == wanted, signal
 
 
 def test_random_steps_are_those_of_their_seed() -> None:
@@ -85,6 +88,8 @@ def test_random_steps_are_those_of_their_seed() -> None:
     wanted = [levels[int(np.sum(ends <= t))] for t in times]
     np.testing.assert_array_equal(signal.values(times), wanted)
     assert RandomSteps(duration_s=0.1, low=1.0, high=2.0, hold_min_s=1.0, hold_max_s=1.0, seed=1).values(times).size
+    edge = signal.values(ends[:5] - 1e-12)  # a rounding before it belongs to what begins
+    np.testing.assert_array_equal(edge, levels[1:6])
     late = signal.values(np.array([100.0]))  # behind all that was drawn the last level stays
     assert late[0] == levels[-1]
 
@@ -99,6 +104,17 @@ def test_a_multisine_has_its_lines_its_mean_and_no_more_than_its_peak() -> None:
     values = signal.values(np.linspace(0.0, 2.0, 20_001))
     assert 4.9 < np.abs(values).max() <= 5.0
     assert abs(values[:-1].mean()) < 0.01
+    drawn = replace(signal, seed=5, mean=-2.0)
+    phases = np.random.default_rng(5).uniform(0.0, 2.0 * math.pi, lines.size)
+    fine = np.arange(1280) / 640.0  # 32 times the highest line over a period
+    total, times = (sum(np.sin(2.0 * math.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
+                    for t in (fine, np.linspace(0.0, 4.0, 777)))  # fmt: skip
+    wanted = -2.0 + 5.0 * np.clip(times / np.abs(total).max(), -1.0, 1.0)
+    np.testing.assert_allclose(drawn.values(np.linspace(0.0, 4.0, 777)), wanted, atol=1e-9)
+    slow = Multisine(duration_s=4.0, amplitude=1.0, period_s=1.0, low_hz=1.0, high_hz=1.0, count=1, seed=3)
+    phase = float(np.random.default_rng(3).uniform(0.0, 2.0 * math.pi, 1)[0])
+    peak = np.abs(np.sin(2.0 * math.pi * np.arange(64) / 64.0 + phase)).max()  # no fewer than 64 in a period
+    assert slow.values(np.zeros(1))[0] == pytest.approx(math.sin(phase) / peak, rel=1e-12)
     narrow = Multisine(duration_s=4.0, amplitude=5.0, period_s=1.0, low_hz=1.0, high_hz=1.0, count=1)
     assert np.abs(narrow.values(np.linspace(0.0, 1.0, 1001))).max() == pytest.approx(5.0, rel=5e-3)
     for low_hz, is_sound in ((0.999, True), (0.998, False)):
@@ -146,6 +162,9 @@ def test_numbers_of_a_signal_end_where_the_page_says(kind: str) -> None:
 def test_what_a_signals_file_may_leave_away() -> None:
     assert read_signal(Table({"kind": "sine", "duration_s": 1.0, "amplitude_deg": 2.0, "period_s": 1.0}, "s"), "deg") \
         == Sine(duration_s=1.0, amplitude=2.0, mean=0.0, period_s=1.0)  # fmt: skip
+    with pytest.raises(ConfigError, match="unknown key 'perod_s'; known: begin_deg"):
+        read_signal(Table({"kind": "ramp", "duration_s": 1.0, "begin_deg": 0.0, "end_deg": 1.0, "perod_s": 1.0}, "s"),
+                    "deg")  # fmt: skip
     with pytest.raises(ConfigError, match="kind = 'sinus' is unknown; did you mean"):
         read_signal(Table({"kind": "sinus"}, "s"), "deg")
     with pytest.raises(ConfigError, match="period_s"):
