@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -113,6 +114,7 @@ def test_a_closed_bench_takes_no_statement_and_closing_twice_is_harmless(monkeyp
     with fiohost.connect("sim") as made:
         made.sleep(0.1)
         session = made._hand
+        assert not session._asleep
         assert kept == [session.close]  # a program that ends without closing brakes too
         thread = session._thread
         assert thread.daemon  # and does not hang where it cannot
@@ -159,6 +161,9 @@ class Told:
         session._angles = hand.deque(maxlen=5)
         session._rows, session._touched_s, session._asleep, session._problem = [], self.now_s, False, None
         self.session = session
+        self.told: list[int] = []  # how often those who wait were told
+        notify = session._change.notify_all
+        session._change.notify_all = lambda: (self.told.append(1), notify())
 
 
 def test_a_real_motor_is_driven_on_for_two_seconds_after_the_last_statement(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,6 +172,7 @@ def test_a_real_motor_is_driven_on_for_two_seconds_after_the_last_statement(monk
     session.drive(drive)
     told.now_s = 102.0
     assert session.step(1, 5.0) == (drive, None)
+    assert told.told == [1]  # at each tick, so that nobody waits longer than for it
     told.now_s = 102.25
     session._asleep = True
     assert session.step(2, 5.0) == (drive, None)  # a sleep is no absence
@@ -202,6 +208,31 @@ def test_in_its_own_time_a_sleep_ends_at_its_tick_and_touches_before_and_after(m
     session.step(15, 5.0)
     sleeper.join()
     assert (session._asleep, session._touched_s, session._budget) == (False, 150.0, 0)
+
+
+def test_who_waits_is_told_when_the_loop_ends_and_who_closes_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = Told(monkeypatch, paced=True)
+    session = told.session
+    failure = ValueError("it failed")
+    played: list[Any] = []
+
+    def live(program: Any, progress: Any, progress_every_s: float) -> None:
+        played.append((program, progress_every_s))
+        raise failure
+
+    session._drive(SimpleNamespace(live=live))
+    assert played == [(session, 0.0)]
+    assert (session._problem, session._ends, session._began, told.told) == (failure, True, True, [1])
+    joined: list[int] = []
+    session._thread = SimpleNamespace(join=lambda: joined.append(1))
+    session.close()
+    assert (joined, told.told) == ([1], [1, 1])
+    session._thread = threading.current_thread()  # the loop itself does not wait for itself
+    session.close()
+    paced = Told(monkeypatch, paced=True)
+    paced.session._budget = 1
+    assert paced.session.step(0, 0.0) is not None
+    assert (paced.told, paced.session._budget, paced.session._waits) == ([1], 0, False)
 
 
 def test_a_paced_board_goes_on_by_as_many_ticks_as_are_slept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -103,7 +103,6 @@ class Hand:
         else:
             raise ConfigError(f"a sleep of {seconds!r} s is not within 0 to {LONGEST_S:g} s")
         with self._change:
-            self._touch()
             until = self._tick + ticks
             self._asleep = True
             if self._paced and ticks:
