@@ -52,10 +52,9 @@ TESTS = (
 APART = {  # tests of files that run where coverage.py cannot look, or that only slow tests come by
     "fiohost/bench/guardian_process.py": ("tests/test_guardian_alone.py", "tests/test_guardian.py"),
     "fiohost/bench/hand.py": ("tests/test_statements.py", "tests/test_api.py"),
-    "fiohost/bench/table.py": ("tests/test_readings.py",),
-    "fiohost/transport/emulated.py": ("tests/test_emulated_targets.py",),
+    "fiohost/transport/emulated.py": ("tests/test_traces_to_the_letter.py", "tests/test_emulated_targets.py"),
 }
-COPIED = ("fiohost", "firmware_model", "tests", "configs", "docs", "benchmarks")
+COPIED = ("fiohost", "firmware_model", "firmware", "tests", "configs", "docs", "benchmarks")
 PARTS = 3
 BUDGET_S = 30.0  # of tests for a mutant, by what they took in the first run; what is beyond is said
 NOTHING = "as it is"  # what was changed, of a control

@@ -148,7 +148,7 @@ def test_a_shaft_that_only_runs_down_is_let_run() -> None:
     assert back(50.0, [-366.0] * 300, before=-300.0)[0] == 300
     assert back(50.0, [-367.0] * 300, before=-300.0)[0] < 300
     assert back(50.0, [-60.0] * 600, before=300.0)[0] == 600
-    assert back(50.0, [-62.0] * 600, before=300.0)[0] < 600
+    assert back(50.0, [-60.5] * 600, before=300.0)[0] < 600
 
 
 def test_each_strong_duty_is_judged_from_where_it_came_on() -> None:
@@ -173,6 +173,8 @@ def test_a_speed_is_that_over_ten_ticks() -> None:
     alone = guard()
     alone.check(5, BRAKE_COMMAND, 7.0)
     assert alone._speed_deg_s() == 0.0
+    alone.check(6, BRAKE_COMMAND, 8.0)
+    assert alone._speed_deg_s() == 128.0
     alone.check(9, BRAKE_COMMAND, 8.0)
     assert alone._speed_deg_s() == 32.0
 

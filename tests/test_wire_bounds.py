@@ -82,6 +82,12 @@ def test_no_number_of_a_layout_is_beyond_the_largest_report(key: str) -> None:
             keyed(key, value)
 
 
+def test_a_report_of_one_byte_may_be_one() -> None:
+    with pytest.raises(ConfigError, match="ends at byte 3, beyond the 1 of the report"):
+        layout(length=1)
+    assert Layout("one", 1, (Field("direction", "u8", 0),)).decode(b"\x01") == {"direction": 1}
+
+
 def test_a_header_is_sixteen_bytes_at_most() -> None:
     fields = [DIRECTION, {"name": "pos", "type": "u16"}]
     assert layout(length=30, header="00" * 16, fields=fields).header == bytes(16)
@@ -160,6 +166,9 @@ def test_only_a_duty_in_whole_numbers_is_rounded() -> None:
     assert scaled.pack(33.3, 1, 0) == struct.pack("<fBB", 3330.0, 1, 0)
     mixed = Layout("m", 6, (Field("pos", "u16", 0, "big"), Field("direction", "u16", 2)))
     assert mixed.pack(0x0102, 0x0304) == bytes.fromhex("01 02 04 03 00 00")
+    big = Layout("b", 6, (Field("pos", "u16", 1, "big"), Field("direction", "u16", 3, "big")))
+    assert big.pack(0x0102, 0x0304) == bytes.fromhex("00 01 02 03 04 00")
+    assert big.decode(big.pack(0x0102, 0x0304)) == {"pos": 0x0102, "direction": 0x0304}
     with pytest.raises(ReportError, match="do not fit"):
         mixed.encode({"pos": 1.5, "direction": 0})
     codec = Codec(scaled, Layout("p", 3, (Field("direction", "u8", 0), Field("pos", "u16", 1))), 720)

@@ -7,6 +7,7 @@ half the duty may last four times as long.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from fiohost.errors import GuardError
@@ -80,7 +81,7 @@ class MotorGuard:
             )
 
     def _direction(self, duty_pct: float, angle_deg: float) -> None:
-        sign = (duty_pct > 0.0) - (duty_pct < 0.0) if abs(duty_pct) >= STRONG_PCT else 0.0
+        sign = math.copysign(1.0, duty_pct) if abs(duty_pct) >= STRONG_PCT else 0.0
         speed = self._speed_deg_s()
         if not sign or sign != self._sign or any(self._glitches):  # a wrong reading shifts angle and speed
             self._sign = sign
