@@ -16,8 +16,9 @@ import pytest
 from boards import WatchedTransport, bench_on
 
 import fiohost
+from fiohost import files
 from fiohost.bench import connect as connecting
-from fiohost.bench import loop, priority, seal, stop, table, terminal
+from fiohost.bench import loop, priority, seal, stop, table, terminal, watcher, writer
 from fiohost.bench.clock import MonotonicClock, PlayedClock, VirtualClock
 from fiohost.bench.connect import asking, connect, open_target, split_target
 from fiohost.bench.experiment import Experiment
@@ -29,8 +30,11 @@ from fiohost.bench.signals import Constant
 from fiohost.bench.stop import Stopped, StopSignals
 from fiohost.bench.table import read_cells
 from fiohost.bench.turns import Tick, turns
+from fiohost.bench.writer import LogWriter
 from fiohost.errors import ConfigError, FiohostError, HostError, LimitError, LogError
+from fiohost.transport import serial, trace
 from fiohost.transport.profile import Guards, Limits, TargetProfile
+from fiohost.transport.trace import TraceReader, TraceWriter
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command, Telemetry
 
 # ---- turn by turn --------------------------------------------------------------------------------------------------
@@ -604,6 +608,40 @@ def test_precedence_is_taken_and_given_back(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.delattr(os, "sched_setscheduler")
     with pytest.raises(ConfigError, match="only Linux has"), priority.realtime_priority():
         pass
+
+
+# ---- what is bounded -----------------------------------------------------------------------------------------------
+
+
+def test_no_file_is_read_and_nothing_waits_beyond_its_bound(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A log of 640 MB, a table of 400, a trace of 10 GB; 400 rows, 1000 lines of a trace, 100 ticks that are shown."""
+    asked: list[int] = []
+
+    def reads(path: object, most: int, *rest: object) -> bytes:
+        asked.append(most)
+        raise LogError("seen")
+
+    for name in ("read_input", "open_input"):
+        monkeypatch.setattr(files, name, reads)
+    for read in (fiohost.read_log, lambda path: read_cells(path, 1), TraceReader):
+        with pytest.raises(LogError, match="seen"):
+            read("x")  # type: ignore[arg-type]
+    assert asked == [640_000_000, 400_000_000, 10_000_000_000]
+    monkeypatch.undo()
+    asked.clear()
+    made: Any = SimpleNamespace(close=lambda limit_s: True, waiting=0, problem=None, put=lambda item: True)
+    for module in (writer, trace, watcher):
+        monkeypatch.setattr(module, "Background", lambda do, most, name: (asked.append(most), made)[1])
+    LogWriter(tmp_path / "a.csv", {}, behind=True).close()
+    TraceWriter(tmp_path / "t.jsonl").session({}, 0.0)
+    watcher.Watcher(print)
+    assert asked == [400, 1, 1000, 100]
+
+
+def test_no_more_of_a_stream_is_taken_in_one_go_than_a_mebibyte(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial, "select", SimpleNamespace(select=lambda read, write, wrong, wait_s: (read, [], [])))
+    monkeypatch.setattr(serial, "os", SimpleNamespace(read=lambda fd, size: bytes(size)))
+    assert len(serial._read(3, 0.0)) == 1_048_576
 
 
 # ---- tables that people write --------------------------------------------------------------------------------------

@@ -344,6 +344,12 @@ def test_steps_go_up_by_a_quarter_percent_until_the_shaft_turns(monkeypatch: pyt
     assert (asked, found) == ([5.5, 6.5], pytest.approx(5.1))  # it turned at once: nothing smaller was tried
 
 
+def test_the_second_step_that_turns_may_be_any_larger_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(starts, "SECOND_PCT", 2.0)
+    asked, found = stepped(monkeypatch, lambda duty: 8.0 * max(0.0, duty - 5.1), 4.75)
+    assert (asked[-1], found) == (7.5, pytest.approx(5.1))
+
+
 def test_a_start_lies_between_the_last_step_that_did_not_turn_and_the_first_that_did(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

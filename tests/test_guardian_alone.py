@@ -317,6 +317,13 @@ def test_a_guardian_that_ends_while_it_starts_or_never_starts(side: Side, monkey
     assert (min(slept), max(slept)) == (0.002, 0.002)
     assert sum(slept) == pytest.approx(20.0, abs=0.01)
     slept.clear()
+    times = iter([0.0, 20.0, 20.25])
+    monkeypatch.setattr(host_side, "time", SimpleNamespace(monotonic=lambda: next(times), sleep=slept.append))
+    with pytest.raises(HostError, match="could not be started"), side.guardian.on_duty():
+        pass
+    assert len(slept) == 1  # at its very time it may still come
+    monkeypatch.setattr(host_side, "time", SimpleNamespace(monotonic=lambda: 0.0, sleep=slept.append))
+    slept.clear()
     side.process.ended = 1
     with pytest.raises(HostError, match="could not be started"), side.guardian.on_duty():
         pass

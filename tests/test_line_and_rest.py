@@ -115,6 +115,12 @@ def test_after_a_tenth_of_a_second_without_a_reading_the_clock_counts_too() -> N
         line.tick()
         assert (line.steps, line.steps_are_a_guess) == (steps + 1, False)
     line, board, clock = made()
+    clock.time_s = 0.0
+    board.lay(GOOD, takes_s=0.0).lay(GOOD, takes_s=0.1)
+    line.tick()
+    line.tick()
+    assert line.steps_are_a_guess is False  # a tenth of a second exactly
+    line, board, clock = made()
     board.lay(GOOD).lay(GOOD, passed_over=30)  # more were counted than the clock says
     line.tick()
     clock.time_s += 20 * TICK_S

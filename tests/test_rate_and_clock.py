@@ -73,6 +73,21 @@ def test_a_board_that_says_nothing_for_two_seconds_is_let_go() -> None:
     assert sum(patient.waits_s) == pytest.approx(7.0, abs=0.11)
 
 
+def test_a_board_is_heard_once_more_when_its_time_has_just_passed() -> None:
+    clock = VirtualClock()
+    board: Any = Board(clock, 1e9)
+    listen, heard = board.receive, []
+
+    def receive(timeout_s: float) -> bytes:
+        heard.append(clock.now_s())
+        return listen(0.5)
+
+    board.receive = receive
+    with pytest.raises(TelemetryTimeoutError):
+        greet(board, BRAKE, clock, PROFILE)
+    assert heard == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
 def test_a_board_whose_brake_cannot_be_sent_is_let_go() -> None:
     board: Any = Board(VirtualClock(), 0.0)
     send = board.send

@@ -43,14 +43,14 @@ def parse_rows(
     columns = {name: np.empty(most_rows) for name in names}
     textual: dict[str, None] = {}
     bad = rows = kept = 0
-    first_bad = -1
+    first_bad: int | None = None
     for piece in pieces:
         try:
             found = _parse_piece(piece, names, needed)
         except UnicodeDecodeError as exc:
             raise LogError(f"{where} is not a log: byte {at + exc.start} is not UTF-8 text") from exc
         at += len(piece)
-        if found.bad and first_bad < 0:
+        if found.bad and first_bad is None:
             first_bad = first_line + found.bad[0]
         bad, rows, first_line = bad + len(found.bad), rows + found.rows, first_line + found.lines
         textual |= dict.fromkeys(found.textual)
