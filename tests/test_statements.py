@@ -49,6 +49,7 @@ def test_a_sleep_is_not_negative_and_not_longer_than_a_day(bench: Any, seconds: 
 
 
 def test_a_day_may_be_slept(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.sleep()
     monkeypatch.setattr(Hand, "_wait", lambda self, done: None)
     bench.sleep(86_400.0)
     monkeypatch.undo()
