@@ -127,6 +127,12 @@ def test_a_shaft_that_starts_at_once_from_nothing_is_believed(monkeypatch: pytes
     assert [asked[0] for asked in sweep.asked] == ["turn", "ramp"] * 2
 
 
+def test_a_start_at_once_from_little_is_looked_for_again_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    sweep = Sweep(monkeypatch, lambda forward, begin: onset(0.6 if forward else -0.6, onset_s=0.1), coarse_pct=0.5)
+    measure_deadband(bench(), 1)
+    assert [asked[2] for asked in sweep.asked if asked[0] == "ramp"] == [0.5, 0.0] * 2
+
+
 def test_places_are_even_over_the_turn_and_repeated_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = Sweep(monkeypatch, lambda forward, begin: onset(8.0 if forward else -7.0))
     found = measure_deadband(bench(), 2, angles=3)
@@ -255,7 +261,7 @@ def log_of(counts: list[int], duties: list[float], delay: int = 0) -> Log:
 @pytest.mark.parametrize(("sign", "delay"), [(1, 0), (-1, 0), (1, 2)])
 def test_a_start_is_read_from_the_log_with_the_duty_that_acted_then(sign: int, delay: int) -> None:
     """Two percent a tick; the shaft is at rest up to tick 40 and speeds up evenly from there."""
-    counts = [sign * int(0.5 + 0.02 * max(0, k - 40) ** 2) for k in range(64)]
+    counts = [sign * int(0.5 + 0.2 * max(0, k - 40) ** 2) for k in range(64)]
     log = log_of(counts, [sign * 0.25 * k for k in range(64)], delay)
     program: Any = SimpleNamespace(rest_tick=0)
     found = _onset(log, program, sign > 0)
@@ -264,11 +270,11 @@ def test_a_start_is_read_from_the_log_with_the_duty_that_acted_then(sign: int, d
     assert (found.forward, found.at_angle_deg, found.place_deg) == (sign > 0, 350.0, None)
     assert found.moved_deg.tolist() == [0.5 * c for c in counts]
     assert found.duty_acting_pct[10] == pytest.approx(sign * 0.25 * (10 - delay))
-    late: Any = SimpleNamespace(rest_tick=50)
+    late: Any = SimpleNamespace(rest_tick=55)
     again = _onset(log, late, sign > 0)
-    assert again.moved_deg[50] == 0.0
-    assert again.at_angle_deg == pytest.approx((350.0 + 0.5 * counts[50]) % 360.0)
-    assert again.onset_s >= 50 * TICK_S
+    assert again.moved_deg[55] == 0.0
+    assert again.at_angle_deg == pytest.approx((350.0 + 0.5 * counts[55]) % 360.0)
+    assert again.onset_s >= 55 * TICK_S
 
 
 def test_no_start_is_before_a_duty_acts() -> None:
@@ -289,6 +295,27 @@ def test_the_start_is_where_the_square_root_of_the_counts_was_nothing() -> None:
     assert _start_time(time_s, early) == 0.0
     slowing = np.floor(10.0 * np.sqrt(np.clip(time_s - 1.0, 0.0, None)))
     assert 0.0 <= _start_time(time_s, slowing) <= time_s[np.flatnonzero(slowing <= 0)[-1]]
+
+
+def test_edges_are_where_a_count_was_reached_for_good() -> None:
+    """By hand: from two counts on, each where it was last not reached, the straight line of their roots to nothing."""
+
+    def started(*counts: int, before: int = 100) -> float:
+        """Seconds from the first of *counts* on, behind a long rest."""
+        seen = np.array([0] * before + list(counts), dtype=float)
+        return _start_time(np.arange(seen.size) - float(before), seen)
+
+    def line(edges: list[float]) -> float:
+        slope, at_zero = np.polyfit(edges, np.sqrt(np.arange(2, 2 + len(edges)) - 0.5), 1)
+        return float(-at_zero / slope)
+
+    assert started(0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 4, 5, 5, 6) == pytest.approx(line([7, 8, 9, 11, 13]))
+    assert started(0, 0, 0, 0, 0, 1, 2, 3, 2, 4, 5) == pytest.approx(line([6, 9, 9, 10]))  # four edges are enough
+    assert started(0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 5) == pytest.approx(line([6, 7, 8, 9]))  # the sixth did not last
+    assert started(0, 0, 0, 1, 2, 3, 4) == 2.0  # three are not: the last tick at rest
+    assert started(0, 0, 1, 0, 2, 3, 4) == 3.0
+    assert started(0, 0, 0, 2, 5, 9, 9, 9) == 2.0  # no later than it was last at rest
+    assert started(0, 0, 2, *[2] * 9, 3, *[3] * 9, 4, *[4] * 9, 5, before=0) == 0.0  # no earlier than was looked
 
 
 @pytest.mark.parametrize(("forward", "way"), [(True, "forward"), (False, "in reverse")])

@@ -214,7 +214,7 @@ class _TurnBy:
             self._begin_deg = angle_deg
             if self._place_deg is not None:
                 way = self._place_deg - angle_deg
-                turn = (way if self._command.duty_pct > 0.0 else -way) % 360.0
+                turn = math.copysign(1.0, self._command.duty_pct) * way % 360.0
                 self._angle_deg = turn if turn >= PLAY_DEG else turn + 360.0
         done = abs(angle_deg - self._begin_deg) >= self._angle_deg or k >= self._ticks
         return None if done else (self._command, None)
@@ -288,10 +288,9 @@ class _RampUp:
 
 
 def _onset(log: Log, program: _RampUp, forward: bool) -> Onset:
-    sign = 1.0 if forward else -1.0
     time_s = log.time_s
     moved_deg = log.output - log.output[program.rest_tick]
-    counts = np.rint(sign * moved_deg / log.output_quantum)
+    counts = np.rint((moved_deg if forward else -moved_deg) / log.output_quantum)
     acting = np.interp(time_s - log.command_delay_ticks * log.sample_time_s, time_s, log.duty_pct)
     onset_s = _start_time(time_s[program.rest_tick :], counts[program.rest_tick :])
     first = int(np.argmax(np.abs(acting) > 0.0))  # before it no duty acts at all
