@@ -314,7 +314,6 @@ def test_edges_are_where_a_count_was_reached_for_good() -> None:
     assert started(0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 5) == pytest.approx(line([6, 7, 8, 9]))  # the sixth did not last
     assert started(0, 0, 0, 1, 2, 3, 4) == 2.0  # three are not: the last tick at rest
     assert started(0, 0, 1, 0, 2, 3, 4) == 3.0
-    assert started(0, 0, 0, 2, 5, 9, 9, 9) == 2.0  # no later than it was last at rest
     assert started(0, 0, 2, *[2] * 9, 3, *[3] * 9, 4, *[4] * 9, 5, before=0) == 0.0  # no earlier than was looked
 
 

@@ -226,6 +226,23 @@ def test_a_device_is_meant_by_the_profile_a_pair_a_serial_number_or_a_path() -> 
         opened("", *many)
 
 
+def test_a_board_is_known_by_its_place_whatever_goes_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hid, "usb_interface", lambda path: "1-2:1.0" if path.endswith("0") else "")
+    monkeypatch.setattr(hid, "usb_node", lambda interface: f"node of {interface}")
+    assert [hid.board_key(info(path)) for path in ("/dev/hidraw0", "/dev/hidraw1", "1-9:1.0")] == [
+        "1-2:1.0", "/dev/hidraw1", "1-9:1.0",
+    ]  # fmt: skip
+    assert [hid.node_of(info(path)) for path in ("/dev/hidraw0", "1-9:1.0")] == ["/dev/hidraw0", "node of 1-9:1.0"]
+    assert hid.label(info()) == "0483:5750 board"
+    assert hid.label(info(product_string="")) == "0483:5750 unnamed"
+    assert hid.path_text({"path": "text"}) == "text"
+    assert not hid._same_board(info(interface_number=1), info())
+    with_key = [info("/dev/hidraw0", ""), info("1-2:1.0", "")]
+    assert hid._same_board(*with_key)
+    assert not hid._same_board(info("/dev/hidraw1", ""), info("1-2:1.0", ""))
+    assert not hid._same_board(info(serial=""), info(serial="A"))
+
+
 def test_a_board_that_is_a_keyboard_as_well_is_found_by_its_own_page() -> None:
     page = info("1-2:1.1", "A", usage_page=0xFF00)
     keyboard = info("1-2:1.0", "A", usage_page=0x0001)
