@@ -151,6 +151,12 @@ def test_what_comes_soon_after_opening_is_thrown_away(monkeypatch: pytest.Monkey
     assert made.receive(0.25) == b"new"
     assert device.slept[1] == 0.0
     assert HidTransport("", 1, 2)._stale_s == 0.05
+    made, device = hid_line(monkeypatch, (0.0, b"old"), stale_s=0.0625)
+    with pytest.raises(TelemetryTimeoutError):
+        made.receive(0.0625)
+    assert made._fresh_from_s == 0.0  # its time had just come
+    made.close()
+    assert device.closed
 
 
 def test_a_call_that_a_signal_cuts_short_is_tried_three_times_and_a_closed_device_once(
