@@ -218,7 +218,7 @@ def test_reports_that_were_lost_are_added_up(lost: tuple[int, int, int], monkeyp
 
 
 def test_only_what_was_timed_while_it_braked_counts() -> None:
-    line: Any = SimpleNamespace(received_s=[1.0, 2.0, 3.0], answered_s=[0.1, 0.2])
+    line: Any = SimpleNamespace(received_s=[0.0, 1.0, 2.0, 3.0], answered_s=[0.1, 0.2])  # one was not answered
     program = _Braked(line, 2)
     assert program.step(0, 0.0) is not None
     line.received_s += [4.0]

@@ -65,7 +65,7 @@ def _without_end(data: bytes) -> Integrity:
         return Integrity(UNKNOWN, 0, None, ())
     if not data.endswith(b"\n"):
         notes.append("the last line is cut off in its middle")
-    if b"\n# host_version:" not in head and b"# host_version:" not in head[:15]:
+    if b"\n# host_version:" not in head and not head.startswith(b"# host_version:"):
         notes.append("it has no last line with row count and check sum: another program made it")
         return Integrity(UNKNOWN, whole, None, tuple(notes))
     if b"\n# ending: unfinished" in head:
