@@ -8,6 +8,7 @@ import logging
 import os
 import signal
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -230,6 +231,27 @@ def test_a_logs_head_says_what_it_is_of(tmp_path: Path) -> None:
         assert bench.head()["limits"] == "duty 20 %"
 
 
+def test_the_ticks_of_a_run_are_its_own(caplog: pytest.LogCaptureFixture) -> None:
+    """Also those that bring the shaft to rest before it, of which the program's own log tells."""
+    with connect("sim") as bench:
+        bench.drive(0.0, 1.0)
+        with caplog.at_level(logging.INFO, "fiohost.bench"):
+            bench.settle()
+            bench.drive(0.0, 0.05)
+            bench.settle()
+        assert [message.partition(" s at")[0] for message in caplog.messages] == ["at rest after 0.105"] * 3
+        bench.drive(0.0, 0.05)
+        assert bench.statistics.ticks == 10 + 1  # and the one that ends it
+
+        def fails() -> None:
+            raise HostError("no guardian")
+
+        bench._set_guardian = fails  # type: ignore[method-assign]
+        with pytest.raises(HostError, match="no guardian"):
+            bench.drive(0.0, 0.05)
+        assert bench.statistics.ticks == 0
+
+
 def test_an_own_clock_says_how_long_a_bench_on_a_cable_is_open() -> None:
     now_s = [100.0]
     with bench_on(WatchedTransport()) as bench:
@@ -285,11 +307,15 @@ def test_a_line_whose_guardian_cannot_be_made_is_let_go(monkeypatch: pytest.Monk
 
 def test_a_guardian_is_kept_for_its_line_and_made_anew_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Any] = []
+    on_duty: list[Any] = []
 
     def of(transport: Any, profile: object) -> Any:
         told: list[Any] = []
-        made.append(SimpleNamespace(way=transport.way, told=told, close=lambda braked=True: told.append(braked)))
-        return made[-1]
+        one = SimpleNamespace(way=transport.way, told=told, close=lambda braked=True: told.append(braked))
+        one.on_duty = lambda: (on_duty.append(one), nullcontext())[1]
+        one.beat, one.has_braked = lambda: None, False
+        made.append(one)
+        return one
 
     monkeypatch.setattr(loop.Guardian, "of", of)
     transport = WatchedTransport()
@@ -306,8 +332,9 @@ def test_a_guardian_is_kept_for_its_line_and_made_anew_for_another(monkeypatch: 
     assert [one.way for one in made] == ["one", "one"]
     assert made[0].told == [True]
     current[0] = "two"
-    bench._set_guardian()
+    bench.live(Hold(BRAKE_COMMAND, 3))  # a board that came back has another way
     assert [one.way for one in made] == ["one", "one", "two"]
+    assert on_duty == [made[-1]]
     bench._line.guardian = None
     bench._guardian = made[-1]
     bench.close()

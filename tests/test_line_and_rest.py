@@ -409,7 +409,7 @@ def settled(line: StubLine) -> tuple[bool, int]:
     stop: Any = Stop()
     found = settle(line, stop)  # type: ignore[arg-type]
     assert stop.checks == line.ticks
-    assert line.done == ["begin", "anew"]
+    assert line.done == ["begin", "anew", "anew"]
     assert {command for _, command in line.sent} <= {BRAKE_COMMAND}
     return found, line.ticks
 

@@ -331,8 +331,13 @@ def test_a_timed_line_passes_everything_on_and_notes_when() -> None:
     made.receive(0.1)
     made.send(b"answer")
     assert (made.received_s, made.answered_s) == ([10.0, 11.0], [0.25, 0.5])
+    assert (made.name, made.identity, made.can_reopen, made.is_known_again, made.stream, made.way) == (
+        "inner", "board", True, True, True, Way(fd=3),
+    )  # fmt: skip
+    made.reopen()
+    assert made.identity == "another"
     made.close()
-    assert inner.done == ["open", b"answer", b"answer", "close"]
+    assert inner.done == ["open", b"answer", b"answer", "reopen", "close"]
 
 
 # ---- simulated and emulated boards ---------------------------------------------------------------------------------

@@ -203,7 +203,7 @@ class Log:
         """What the bridge was told on each row: DRIVE (1), BRAKE (2) or STANDBY (0); without c3 and c4 all DRIVE."""
         if "c3" not in self.columns or "c4" not in self.columns:
             return np.full(len(self), DRIVE, dtype=np.int8)
-        c3, c4 = self.columns["c3"] > 0.5, self.columns["c4"] > 0.5
+        c3, c4 = self.columns["c3"] == 1.0, self.columns["c4"] == 1.0
         return np.where(c3 & c4, BRAKE, np.where(c3 | c4, DRIVE, STANDBY)).astype(np.int8)
 
     @property

@@ -69,6 +69,7 @@ def settle(line: Line, stop: StopSignals) -> bool:
     """
     sample_time_s, real_line = line.profile.sample_time_s, not line.transport.lock_step
     line.begin()
+    line.count_anew()
     at_rest, quiet, last, shaft = False, 0, -1, Shaft(line)
     rate = cable.Rate(line.transport.name, line.profile)
     for turn in range(round(SETTLE_LIMIT_S / sample_time_s)):
