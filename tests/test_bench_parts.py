@@ -404,7 +404,7 @@ def test_what_is_opened_for_each_medium(monkeypatch: pytest.MonkeyPatch) -> None
     assert kept["told"] == 0
     assert kept.keys() == {"told", "drawn"}
     student, _ = open_target("sim:student:me", run_id="mine")
-    assert student.identity == "simulated, sealed"
+    assert (student.name, student.identity) == ("sim:sealed", "simulated, sealed")
     assert "mine" not in kept
     with pytest.raises(ConfigError, match="drawn by the student's name"):
         open_target("sim:student:me", seed=1)
@@ -421,6 +421,7 @@ def test_the_time_of_a_bench_is_that_of_its_target(tmp_path: Path) -> None:
         assert isinstance(bench.clock, VirtualClock)  # the trace is of a board in lock step
     head, *events = path.read_text().splitlines()
     path.write_text("\n".join([json.dumps(json.loads(head) | {"lock_step": False}), *events]) + "\n")
+    assert open_target(f"replay:{path}")[0]._paced is False  # type: ignore[attr-defined]
     bench = connect(f"replay:{path}")
     assert isinstance(bench.clock, PlayedClock)
     assert bench.clock.now_s() == bench.transport.time_s  # type: ignore[attr-defined]
@@ -503,8 +504,9 @@ def test_a_seed_is_kept_under_its_run_and_found_by_its_log(tmp_path: Path, monke
 
 
 def test_signals_become_a_request_and_are_put_back() -> None:
-    before = {name: signal.getsignal(name) for name in stop._SIGNALS}
+    before = {name: signal.getsignal(name) for name in (*stop._SIGNALS, signal.SIGTTOU)}
     with StopSignals() as signals:
+        assert signal.getsignal(signal.SIGTTOU) == signal.SIG_IGN  # nor does output stop it
         signals.check()
         assert signals.requested == 0
         signal.raise_signal(signal.SIGTERM)
@@ -513,7 +515,7 @@ def test_signals_become_a_request_and_are_put_back() -> None:
         with pytest.raises(Stopped, match="stopped by SIGTERM") as caught:
             signals.check()
         assert (caught.value.signum, caught.value.exit_code) == (15, 143)
-    assert {name: signal.getsignal(name) for name in stop._SIGNALS} == before
+    assert {name: signal.getsignal(name) for name in before} == before
     assert str(Stopped(99)) == "stopped by 99"
 
 

@@ -461,7 +461,8 @@ class Ports:
         self.fails: Exception | None = None
         monkeypatch.setattr(serial, "_ports", lambda: list(self.infos))
         monkeypatch.setattr(serial, "_serial_class", lambda: self.make)
-        monkeypatch.setattr(serial, "_keep_others_out", lambda port: None)
+        self.kept: list[Any] = []
+        monkeypatch.setattr(serial, "_keep_others_out", self.kept.append)
 
     def make(self, path: str, baud: int, **options: Any) -> Any:
         if self.fails is not None:
@@ -483,6 +484,7 @@ def test_a_port_is_taken_for_this_host_alone_with_its_speed_and_without_waits(mo
     assert ports.opened == [("/dev/ttyACM0", 9600, wanted)]
     assert (made.identity, made.is_known_again) == ("0483:5740:S", True)
     assert made._port.quick == [True]
+    assert ports.kept == [made._port]
     assert made.way == Way(fd=made._fd)
     made.close()
     made.close()
@@ -543,7 +545,8 @@ def test_a_port_is_meant_by_path_or_identity(asked: str, found: str | None, monk
 
 
 def test_no_port_is_said_with_those_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = Ports(monkeypatch, port_info("/dev/ttyACM0", serial_number="A"))
+    plain = port_info("/dev/ttyS0", vid=None, pid=None)
+    ports = Ports(monkeypatch, plain, port_info("/dev/ttyACM0", serial_number="A"))
     assert serial._find("") == "/dev/ttyACM0"
     with pytest.raises(ConfigError, match="no USB serial port 1209:0001 is connected; ports: /dev/ttyACM0"):
         serial._find("1209:0001")
@@ -573,6 +576,35 @@ def test_why_a_port_does_not_open(failure: Exception, said: str, monkeypatch: py
     ports.fails = OSError(errno.ENOENT, "x")
     with pytest.raises(TransportError, match="there is no serial port /dev/ttyACM9; no serial port is connected"):
         SerialTransport("/dev/ttyACM9").open()
+
+
+def test_a_ports_descriptor_may_be_the_smallest_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = Ports(monkeypatch)
+    done: list[object] = []
+    make = ports.make
+    monkeypatch.setattr(
+        ports, "make", lambda *asked, **options: [p := make(*asked, **options), setattr(p, "fileno", lambda: 0)][0]
+    )
+    monkeypatch.setattr(serial, "_serial_class", lambda: ports.make)
+    monkeypatch.setattr(serial, "_write", lambda fd, report: done.append((fd, report)))
+    monkeypatch.setattr(serial, "_read", lambda fd, timeout_s: bytes([fd]))
+    made = SerialTransport("/dev/pts/7")
+    made.open()
+    made.send(b"abc")
+    assert (made.receive(0.0), done, made.way) == (b"\0", [(0, b"abc")], Way(fd=0))
+
+
+def test_a_port_is_closed_to_programs_that_ask_for_no_lock_unless_it_is_a_pty(monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+    import termios
+
+    asked: list[object] = []
+    monkeypatch.setattr(fcntl, "ioctl", lambda fd, what: asked.append((fd, what)))
+    port = SimpleNamespace(fileno=lambda: 7)
+    for name, count in (("/dev/pts/3", 0), ("/dev/ttyACM0", 1)):
+        monkeypatch.setattr(serial.os, "ttyname", lambda fd, name=name: name)
+        serial._keep_others_out(port)
+        assert asked == [(7, termios.TIOCEXCL)] * count
 
 
 def test_what_the_system_takes_a_piece_of_is_written_on_and_given_up_after_fifty_ms(
@@ -623,7 +655,13 @@ def test_through_pyserial_a_wait_is_set_in_steps_and_no_more_is_read_than_in_one
 ) -> None:
     monkeypatch.setattr(serial, "MOST_BYTES", 10)
     asked: list[int] = []
-    port = SimpleNamespace(timeout=None, in_waiting=6, read=lambda size: (asked.append(size), bytes(size))[1])
+
+    def read(size: int) -> bytes:
+        assert size > 0
+        asked.append(size)
+        return bytes(size)
+
+    port = SimpleNamespace(timeout=None, in_waiting=6, read=read)
     assert len(serial._read_port(port, 0.025)) == 10
     assert asked == [1, 6, 3]
     assert port.timeout == pytest.approx(0.03)

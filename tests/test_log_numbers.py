@@ -173,6 +173,7 @@ def test_a_head_gives_where_the_rows_begin() -> None:
     metadata, names, start, line = read_head(text, Path("x"))
     assert (metadata, names) == ({"a": "b: c", "x": "y"}, ["time_s", "duty_pct"])
     assert (text[start:], line) == ("1,2\n", 5)
+    assert read_head("\n\na,b\n1,2\n", Path("x")) == ({}, ["a", "b"], 6, 4)
     with pytest.raises(LogError, match="ends before its column names"):
         read_head("# a: b\ntime_s", Path("x"))
 
@@ -286,6 +287,7 @@ def test_a_log_in_memory_alone_gives_its_text_and_a_session_that_keeps_nothing_c
     with pytest.raises(LogError, match="only a log kept in memory"):
         writer.text()
     writer.close()
+    assert writer._file.closed
     seen: list[tuple[object, ...]] = []
     session = NoLog(None, {})
     session.row(1.0)

@@ -117,6 +117,8 @@ def test_a_multisine_has_its_lines_its_mean_and_no_more_than_its_peak() -> None:
     assert slow.values(np.zeros(1))[0] == pytest.approx(math.sin(phase) / peak, rel=1e-12)
     narrow = Multisine(duration_s=4.0, amplitude=5.0, period_s=1.0, low_hz=1.0, high_hz=1.0, count=1)
     assert np.abs(narrow.values(np.linspace(0.0, 1.0, 1001))).max() == pytest.approx(5.0, rel=5e-3)
+    told = narrow.values(np.linspace(0.0, 1.0, 1001))  # a peak between the times that were looked at is cut
+    assert (told.max(), told.min()) == (5.0, -5.0)
     for low_hz, is_sound in ((0.999, True), (0.998, False)):
         asked = {"duration_s": 1.0, "amplitude": 1.0, "period_s": 1.0, "low_hz": low_hz, "high_hz": 2.0, "count": 2}
         if is_sound:

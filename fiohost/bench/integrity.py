@@ -82,7 +82,7 @@ def _first_row(data: bytes, end: int) -> int:
         is_row = not data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at, end)
         found = data.find(b"\n", at, end)
         if found < 0:
-            break
+            return end
         at = found + 1
         if is_row:  # the column names
             return at
