@@ -48,7 +48,7 @@ class Turns:
         self.profile = TargetProfile.load()
         self.profile = fiohost_replace(self.profile, limits=Limits().within(limits))
         self.steps, self.guardian, self.statistics = 100, None, SimpleNamespace(slowed=-1)
-        self.time_s = 50.0
+        self.time_s, self.tick_s = 50.0, 0.25
         self.clock: Any = SimpleNamespace(real=real, now_s=lambda: self.time_s)
         self.link = SimpleNamespace(encode=lambda command: command, codec=self.profile.codec)
         self.done: list[object] = []
@@ -57,7 +57,7 @@ class Turns:
         self._readings = readings
 
     def tick(self) -> Telemetry | None:
-        self.time_s += 0.25
+        self.time_s += self.tick_s
         found = self._readings.pop(0)
         if found is None:
             return None
@@ -111,6 +111,15 @@ def test_on_a_real_clock_each_row_has_the_time_since_the_first_turn() -> None:
     made = Turns([None, (1, 0), (2, 0), (3, 0)], real=True)
     made.run(OpenLoop([BRAKE_COMMAND] * 2))
     assert [row[-1] for row in made.rows] == [0.25, 0.5]
+
+
+def test_turns_without_a_reading_are_turns_of_the_host() -> None:
+    """It comes round, though the board says nothing that can be used: that is no computer that is held up."""
+    made = Turns([(1, 0), None, None, None, (5, 0), (6, 0)], real=True)
+    made.tick_s, made.transport.can_reopen = 40.0, True
+    made.profile = fiohost_replace(made.profile, guards=Guards(gap_s=60.0))
+    made.run(OpenLoop([BRAKE_COMMAND] * 5))
+    assert len(made.rows) == 2
 
 
 def test_progress_is_told_at_the_first_turn_and_each_so_many_steps() -> None:

@@ -308,9 +308,8 @@ def _onset(log: Log, program: _RampUp, forward: bool) -> Onset:
 
 def _start_time(time_s: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
     """Time at which the shaft started, from the times at which it reached 2, 3, .. counts for good."""
-    largest = int(counts.max())
-    reached: Sequence[int] = range(2, largest + 1)
-    edges = np.array([time_s[int(np.flatnonzero(counts < n)[-1]) + 1] for n in reached if counts[-1] >= n])
+    reached: Sequence[int] = range(2, int(counts[-1]) + 1)
+    edges = np.array([time_s[int(np.flatnonzero(counts < n)[-1]) + 1] for n in reached])
     first = float(time_s[int(np.flatnonzero(counts <= 0)[-1])]) if np.any(counts <= 0) else float(time_s[0])
     if edges.size < 4:
         return first
