@@ -677,9 +677,15 @@ def test_no_file_is_read_and_nothing_waits_beyond_its_bound(monkeypatch: pytest.
 
 
 def test_no_more_of_a_stream_is_taken_in_one_go_than_a_mebibyte(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial, "select", SimpleNamespace(select=lambda read, write, wrong, wait_s: (read, [], [])))
+    waits: list[float] = []
+    select = SimpleNamespace(select=lambda read, write, wrong, wait_s: (waits.append(wait_s), (read, [], []))[1])
+    monkeypatch.setattr(serial, "select", select)
     monkeypatch.setattr(serial, "os", SimpleNamespace(read=lambda fd, size: bytes(size)))
-    assert len(serial._read(3, 0.0)) == 1_048_576
+    assert len(serial._read(3, 0.25)) == 1_048_576
+    assert (waits[0], set(waits[1:])) == (0.25, {0.0})
+    waits.clear()
+    serial._read(3, -1.0)
+    assert waits[0] == 0.0
 
 
 # ---- tables that people write --------------------------------------------------------------------------------------

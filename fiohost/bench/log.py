@@ -234,7 +234,7 @@ class Log:
         """Noise of the sensor beside its counts, rms in the output's unit; None where nobody says it."""
         if not self.metadata.get("output_noise_rms", "").strip():
             return None
-        return self._number("output_noise_rms", 0.0, low=0.0)
+        return self._number("output_noise_rms", math.nan, low=0.0)
 
     @property
     def output_average(self) -> str:
