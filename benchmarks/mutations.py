@@ -41,18 +41,20 @@ from scipy.stats import beta
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("fiohost/wire", "fiohost/transport", "fiohost/bench")
 TESTS = (
-    "api", "bench", "bench_parts", "board", "cli_drive", "deadband_methods", "deadband_parts", "doctor",
-    "doctor_parts", "edges", "exact_bounds", "exact_steps", "experiments", "faults", "framing", "front_door",
-    "guardian", "guardian_alone", "hid_line", "in_hand", "instruments", "integrity", "limits_hold", "line_and_rest",
-    "lines", "lines_to_the_letter", "log", "log_numbers", "log_rows", "long_logs", "manual_keys", "motor_guard",
-    "rate_and_clock", "readings", "real_time", "safe_stops", "serial_line", "served_board", "signal_values",
-    "statements", "stop_keys", "table_log", "time_convention", "trace", "traces_to_the_letter", "watching", "wire",
+    "api", "bench", "bench_parts", "board", "cli_drive", "coming_to_rest", "deadband_methods", "deadband_parts",
+    "doctor", "doctor_parts", "edges", "exact_bounds", "exact_steps", "experiments", "faults", "framing",
+    "front_door", "guardian", "guardian_alone", "guardian_host", "hid_calls", "hid_line", "in_hand", "instruments",
+    "integrity", "limits_hold", "line_ticks", "lines", "lines_around_lines", "links_and_streams", "log",
+    "log_numbers", "log_rows", "log_writing", "long_logs", "manual_keys", "motor_guard", "nodes_and_locks",
+    "rate_and_clock", "readings", "real_time", "safe_stops", "serial_calls", "serial_line", "served_board",
+    "signal_values", "signals_and_terminals", "small_tables", "statements", "stop_keys", "table_log",
+    "target_profiles", "targets_and_seals", "time_convention", "trace", "trace_events", "watching", "wire",
     "wire_bounds",
 )  # fmt: skip
 APART = {  # tests of files that run where coverage.py cannot look, or that only slow tests come by
     "fiohost/bench/guardian_process.py": ("tests/test_guardian_alone.py", "tests/test_guardian.py"),
     "fiohost/bench/hand.py": ("tests/test_statements.py", "tests/test_api.py"),
-    "fiohost/transport/emulated.py": ("tests/test_traces_to_the_letter.py", "tests/test_emulated_targets.py"),
+    "fiohost/transport/emulated.py": ("tests/test_lines_around_lines.py", "tests/test_emulated_targets.py"),
 }
 COPIED = ("fiohost", "firmware_model", "firmware", "tests", "configs", "docs", "benchmarks")
 PARTS = 3
