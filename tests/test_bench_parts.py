@@ -345,3 +345,8 @@ def test_what_ended_a_run_is_told_and_not_what_became_of_the_line_since(monkeypa
         bench.__exit__(None, None, None)
     first = ValueError("first")
     assert bench.__exit__(ValueError, first, None) is None
+
+
+def test_a_log_of_traffic_says_where_a_bench_is_open(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "fiohost.bench"), connect("sim") as bench:
+        assert f"opened sim: simulated, profile hid-assumed (layout assumed), run {bench.run_id}" in caplog.text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 import fiohost
 from fiohost import files
 from fiohost.bench import table, watcher, writer
-from fiohost.bench.connect import connect
 from fiohost.bench.table import read_cells
 from fiohost.bench.writer import LogWriter
 from fiohost.errors import LogError
@@ -120,8 +118,3 @@ def test_a_wanted_column_is_there_once() -> None:
         table._header("t,u", ("v",), Path("x"))
     with pytest.raises(LogError, match="has 2 columns named 'u'"):
         table._header("t,u,u", ("u",), Path("x"))
-
-
-def test_a_log_of_traffic_says_where_a_bench_is_open(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, "fiohost.bench"), connect("sim") as bench:
-        assert f"opened sim: simulated, profile hid-assumed (layout assumed), run {bench.run_id}" in caplog.text
