@@ -435,6 +435,7 @@ def _covered(kept: Path, checkout: Path) -> Covered:
         read = json.loads(kept.read_text())
         lines = {path: {int(k): v for k, v in of.items()} for path, of in read["by_line"].items()}
         covered = Covered(lines, read["seconds"], read["files"])
+    covered.take(Covered(files={name: "" for name in covered.files if name not in digests}))  # they are gone
     new = {name: digest for name, digest in digests.items() if covered.files.get(name) != digest}
     if new:
         covered.take(coverage_of(checkout, new))
