@@ -2,7 +2,8 @@
 
     python benchmarks/mutations.py --sample 200 --seed 1     so many, drawn from all of wire, transport and bench
     python benchmarks/mutations.py --only bench/limits       all of some files
-    python benchmarks/mutations.py --keep folder ...         do not look again which test runs which line
+    python benchmarks/mutations.py --keep folder ...         look again which test runs which line where tests changed
+    python benchmarks/mutations.py --controls 10 ...         files as they are among them: no test may fail for those
 
 Comparisons get their neighbour, sums and products their inverse, numbers one more, conditions their opposite; calls
 made for what they do alone are left out, ``break`` and ``continue`` change places. First the tests run once and
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import hashlib
 import json
 import os
 import random
@@ -27,7 +29,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -39,21 +41,27 @@ from scipy.stats import beta
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("fiohost/wire", "fiohost/transport", "fiohost/bench")
 TESTS = (
-    "api", "bench", "board", "cli_drive", "deadband_methods", "doctor", "edges", "exact_bounds", "exact_steps",
-    "experiments", "faults", "framing", "front_door", "guardian", "hid_line", "in_hand", "instruments", "integrity",
-    "limits_hold", "lines", "log", "log_rows", "long_logs", "manual_keys", "motor_guard", "readings", "real_time",
-    "safe_stops", "serial_line", "served_board", "stop_keys", "table_log", "time_convention", "trace", "wire",
+    "api", "bench", "bench_parts", "board", "cli_drive", "coming_to_rest", "deadband_methods", "deadband_parts",
+    "doctor", "doctor_parts", "edges", "exact_bounds", "exact_steps", "experiments", "faults", "framing",
+    "front_door", "guardian", "guardian_alone", "guardian_host", "hid_calls", "hid_line", "in_hand", "instruments",
+    "integrity", "limits_hold", "line_ticks", "lines", "lines_around_lines", "links_and_streams", "log",
+    "log_numbers", "log_rows", "log_writing", "long_logs", "manual_keys", "motor_guard", "nodes_and_locks",
+    "rate_and_clock", "readings", "real_time", "safe_stops", "serial_calls", "serial_line", "served_board",
+    "signal_values", "signals_and_terminals", "small_tables", "statements", "stop_keys", "table_log",
+    "target_profiles", "targets_and_seals", "time_convention", "trace", "trace_events", "watching", "wire",
+    "wire_bounds",
 )  # fmt: skip
 APART = {  # tests of files that run where coverage.py cannot look, or that only slow tests come by
-    "fiohost/bench/guardian_process.py": "tests/test_guardian.py",
-    "fiohost/bench/hand.py": "tests/test_api.py",
-    "fiohost/bench/table.py": "tests/test_readings.py",
-    "fiohost/transport/emulated.py": "tests/test_emulated_targets.py",
+    "fiohost/bench/guardian_process.py": ("tests/test_guardian_alone.py", "tests/test_guardian.py"),
+    "fiohost/bench/hand.py": ("tests/test_statements.py", "tests/test_api.py"),
+    "fiohost/transport/emulated.py": ("tests/test_lines_around_lines.py", "tests/test_emulated_targets.py"),
 }
-COPIED = ("fiohost", "firmware_model", "tests", "configs", "docs", "benchmarks")
+COPIED = ("fiohost", "firmware_model", "firmware", "tests", "configs", "docs", "benchmarks")
 PARTS = 3
 BUDGET_S = 30.0  # of tests for a mutant, by what they took in the first run; what is beyond is said
+NOTHING = "as it is"  # what was changed, of a control
 LIMIT_S = 120.0  # beside ten times what the tests took: a mutant that hangs is killed, and counted as such
+WARM = "tests/test_statements.py"  # compiles the simulation: that is done once, before a limit counts
 ASKED = "FIOHOST_MUTANT"
 # in the tests and in each program that they start: one module is loaded from another file
 HOOK = f"""
@@ -75,6 +83,7 @@ NEIGHBOURS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.FloorDiv: ast.Mult,
 }  # fmt: skip
+PROMISES = {"dataclass": ("frozen", "kw_only"), "zip": ("strict",)}  # arguments that change no run that is right
 
 
 @dataclass(frozen=True)
@@ -91,6 +100,8 @@ class Mutant:
     def text(self) -> str:
         """Of the whole file."""
         changed = ast.parse((ROOT / self.path).read_text())
+        if self.what == NOTHING:
+            return ast.unparse(changed)
         _change(list(_places(changed))[self.index])
         return ast.unparse(ast.fix_missing_locations(changed))
 
@@ -101,16 +112,32 @@ class Covered:
 
     by_line: dict[str, dict[int, list[str]]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)  # what was looked at, and the digest of each
+    budget_s: float = BUDGET_S
+    limit_s: float = LIMIT_S
     also: list[str] = field(default_factory=list)  # written since
     alone: bool = False  # whether the others have been tried
+
+    def take(self, newer: Covered) -> None:
+        """What *newer* found of its files in the place of what was known of them."""
+        old = {name for name in self.seconds if name.partition("::")[0] in newer.files}
+        self.seconds = {name: s for name, s in self.seconds.items() if name not in old} | newer.seconds
+        for lines in self.by_line.values():
+            for line, names in lines.items():
+                lines[line] = [name for name in names if name not in old]
+        for path, found in newer.by_line.items():
+            lines = self.by_line.setdefault(path, {})
+            for line, names in found.items():
+                lines[line] = sorted({*lines.get(line, []), *names})
+        self.files |= newer.files
 
     def of(self, mutant: Mutant) -> list[str]:
         """Tests to run, short ones first. A module's own line belongs to all who come by its functions."""
         lines = self.by_line.get(mutant.path, {})
-        if mutant.path in APART:
-            return [*self.also, APART[mutant.path]]
         if self.alone:
             return self.also
+        if mutant.path in APART:
+            return [*self.also, *APART[mutant.path]]
         if mutant.inside:
             found = set(lines.get(mutant.line, []))
         else:
@@ -138,8 +165,13 @@ def mutants(path: str) -> Iterator[Mutant]:
 
 
 def _places(tree: ast.AST) -> Iterator[ast.AST]:
-    """Nodes that can be changed; what is only said (messages, the program's own log, annotations) is left alone."""
+    """Nodes that can be changed. Left alone is what is only said (messages, the program's own log, annotations), and
+    what no run of a right program can show: what may be written to a dataclass, and whether zip finds lengths equal.
+    """
+    promises = PROMISES.get(tree.func.id, ()) if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) else ()
     for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.keyword) and node.arg in promises:
+            continue
         if isinstance(node, (ast.JoinedStr, ast.Raise, ast.arg)) or _is_said(node):
             continue
         if isinstance(node, ast.AnnAssign):
@@ -264,8 +296,8 @@ class Contexts:
         self._kept.write_text(json.dumps(passed))
 
 
-def coverage_of(checkout: Path) -> Covered:
-    """Run all tests once, some files beside others. The programs that they start note their lines under the test's
+def coverage_of(checkout: Path, files: dict[str, str]) -> Covered:
+    """Run the tests of *files* once, some beside others. The programs that they start note their lines under the test's
     name too. Tests that fail while they are watched (such as those that fill the disk) are left out.
     """
     rules, data = checkout.parent / "coverage.ini", checkout.parent / "data"
@@ -276,30 +308,29 @@ def coverage_of(checkout: Path) -> Covered:
     )
     shutil.rmtree(data, ignore_errors=True)
     data.mkdir()
-    kept = [(checkout.parent / f"seconds{part}.json", checkout.parent / f"said{part}.txt") for part in range(PARTS)]
+    kept = [(data / f"seconds{part}.json", data / f"said{part}.txt") for part in range(min(PARTS, len(files)))]
 
     def run(part: int) -> int:
         from coverage import Coverage
 
         noted = Coverage(config_file=str(rules), context="")
         noted.start()
-        files = [f"tests/test_{name}.py" for name in TESTS[part::PARTS]]
-        code = tested(checkout, files, Contexts(kept[part][0]))
+        code = tested(checkout, list(files)[part::PARTS], Contexts(kept[part][0]))
         noted.stop()
         noted.save()
         return code
 
     in_children([(partial(run, part), said) for part, (_, said) in enumerate(kept)], 3600.0)
-    covered = Covered()
+    covered = Covered(files=files)
     for seconds, _ in kept:
-        covered.seconds |= json.loads(seconds.read_text())
+        covered.seconds |= json.loads(seconds.read_text()) if seconds.exists() else {}
     return _read(data, checkout, covered)
 
 
 def _read(folder: Path, checkout: Path, covered: Covered) -> Covered:
     from coverage import CoverageData
 
-    for part in folder.iterdir():
+    for part in folder.glob("c.*"):
         data = CoverageData(basename=str(part))
         with suppress(Exception):  # of a program that was killed while it wrote
             data.read()
@@ -318,7 +349,7 @@ def outcome(mutant: Mutant, covered: Covered, checkout: Path) -> str:
     tests = covered.of(mutant)
     for name in tests:
         spent_s += covered.seconds.get(name, 0.0)
-        if spent_s > BUDGET_S and asked:
+        if spent_s > covered.budget_s and asked:
             break
         asked.append(name)
     if not asked:
@@ -334,7 +365,7 @@ def outcome(mutant: Mutant, covered: Covered, checkout: Path) -> str:
         return tested(checkout, ["-x", *asked])
 
     try:
-        code = in_a_child(run, LIMIT_S + 10.0 * min(spent_s, BUDGET_S))
+        code = in_a_child(run, covered.limit_s + 10.0 * min(spent_s, covered.budget_s))
     finally:
         changed.unlink()
     if code is None:
@@ -357,7 +388,11 @@ def main() -> int:
         "--again", type=Path, metavar="FILE", help="those that an earlier run printed there, with --also alone"
     )
     parser.add_argument("--also", action="append", default=[], metavar="TEST", help="tests for each, newer than --keep")
+    parser.add_argument("--alone", action="store_true", help="no tests but those of --also")
+    parser.add_argument("--limit", type=float, default=LIMIT_S, metavar="S", help="from here on a mutant hangs")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="mutants beside each other")
+    parser.add_argument("--budget", type=float, default=BUDGET_S, metavar="S", help="of tests for a mutant")
+    parser.add_argument("--controls", type=int, default=0, metavar="N", help="files that nothing was done to, as well")
     parser.add_argument("--list", action="store_true", help="say what would be tried, and try nothing")
     asked = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda signum, frame: sys.exit(143))
@@ -367,6 +402,7 @@ def main() -> int:
     if asked.again:
         told = asked.again.read_text()
         drawn = [m for m in found if f"{m.path}:{m.line}: {m.what}\n" in told]
+    controls = random.Random(asked.seed).sample(found, min(asked.controls, len(found)))
     print(f"{len(drawn)} of {len(found)} mutants of {len(paths)} files", flush=True)
     if asked.list:
         print("\n".join(f"{m.path}:{m.line}: {m.what}" for m in drawn))
@@ -383,18 +419,27 @@ def main() -> int:
             shutil.copytree(ROOT / name, checkout / name, ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(ROOT / "pyproject.toml", checkout)
         (checkout / "sitecustomize.py").write_text(HOOK)
-        covered = _covered(kept / "covered.json", checkout)
-        covered.also, covered.alone = asked.also, bool(asked.again)
-        return _try(drawn, covered, checkout, asked.jobs)
+        alone = asked.alone or bool(asked.again)
+        covered = Covered(alone=True) if alone else _covered(kept / "covered.json", checkout)
+        in_a_child(partial(tested, checkout, [WARM]), 3600.0)
+        covered.also, covered.budget_s, covered.limit_s = asked.also, asked.budget, asked.limit
+        return _try([replace(m, what=NOTHING) for m in controls] + drawn, covered, checkout, asked.jobs)
 
 
 def _covered(kept: Path, checkout: Path) -> Covered:
+    """As it was kept, with the tests looked at that are new or have changed since."""
+    names = [f"tests/test_{name}.py" for name in TESTS]
+    digests = {name: hashlib.sha256((checkout / name).read_bytes()).hexdigest() for name in names}
+    covered = Covered()
     if kept.exists():
         read = json.loads(kept.read_text())
         lines = {path: {int(k): v for k, v in of.items()} for path, of in read["by_line"].items()}
-        return Covered(lines, read["seconds"])
-    covered = coverage_of(checkout)
-    kept.write_text(json.dumps({"by_line": covered.by_line, "seconds": covered.seconds}))
+        covered = Covered(lines, read["seconds"], read["files"])
+    covered.take(Covered(files={name: "" for name in covered.files if name not in digests}))  # they are gone
+    new = {name: digest for name, digest in digests.items() if covered.files.get(name) != digest}
+    if new:
+        covered.take(coverage_of(checkout, new))
+        kept.write_text(json.dumps({"by_line": covered.by_line, "seconds": covered.seconds, "files": covered.files}))
     return covered
 
 
@@ -410,13 +455,19 @@ def _try(drawn: list[Mutant], covered: Covered, checkout: Path, jobs: int) -> in
 
     in_children([(partial(work, job), None) for job in range(jobs)], 24 * 3600.0)
     lines = [line for path in found for line in path.read_text().splitlines()]
+    controls = [line for line in lines if line.endswith(f": {NOTHING}")]
+    lines = [line for line in lines if line not in controls]
     print("\n".join(sorted(line for line in lines if not line.startswith("killed: fiohost"))))
     n, killed = len(lines), sum(line.startswith("killed") for line in lines)
+    hung = sum(line.startswith("killed: hangs") for line in lines)
     low, high = (100.0 * x for x in _interval(killed, n))
+    wrong = [line for line in controls if line.startswith("killed")]
+    print("\n".join([*wrong, f"{len(wrong)} of {len(controls)} files as they are were taken for mutants"]))
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    print(f"{killed} of {n} mutants killed: {100.0 * killed / max(1, n):.1f} % ({low:.1f} to {high:.1f} %, 95 %)")
+    share = f"{100.0 * killed / max(1, n):.1f} % ({low:.1f} to {high:.1f} %, 95 %)"
+    print(f"{killed} of {n} mutants killed: {share}; {hung} of them hung")
     print(f"{sum(u.ru_utime + u.ru_stime for u in used) / 60.0:.1f} minutes of CPU")
-    return 0 if n == len(drawn) and killed >= 0.95 * n else 1
+    return 0 if len(lines) + len(controls) == len(drawn) and killed >= 0.95 * n and not wrong else 1
 
 
 def _interval(k: int, n: int) -> tuple[float, float]:

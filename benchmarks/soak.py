@@ -188,6 +188,7 @@ def main() -> int:
     parser.add_argument("--real-minutes", type=float, default=0.0, metavar="M")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background of a shell it is ignored, by hosts too
     rng = random.Random(asked.seed)
     bad = 0
     with tempfile.TemporaryDirectory() as folder:

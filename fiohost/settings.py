@@ -182,7 +182,7 @@ class Table:
         value = self.number(key, default, low=low, high=high)
         if value != int(value):
             raise self.fail(f"{key} = {value!r} is not a whole number")
-        return int(value)
+        return int(self.raw(key, default))  # a float has not all digits of a large one
 
     def text(self, key: str, default: str | None = None, *, choices: Sequence[str] | None = None) -> str:
         value = self.raw(key, default)

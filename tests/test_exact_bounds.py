@@ -84,6 +84,13 @@ def test_numbers_in_a_logs_head(name: str, within: list[float], outside: list[fl
             log(**{name: value})
 
 
+def test_an_encoder_may_have_one_count() -> None:
+    columns = {"time_s": [0.0, 0.005], "duty_pct": [0.0, 0.0], "pos": [0, 0]}
+    assert Log.from_columns(columns, {"counts_per_rev": "1"}).counts_per_rev == 1
+    with pytest.raises(LogError, match="counts_per_rev"):
+        Log.from_columns(columns, {"counts_per_rev": "0"})
+
+
 def test_a_logs_duty_may_be_beyond_full_scale_by_its_rounding_only() -> None:
     for duty in (100.01, -100.01):
         assert len(Log.from_columns({"time_s": [0.0, 0.01], "duty_pct": [0.0, duty], "pos": [0, 1]})) == 2

@@ -86,6 +86,36 @@ def test_what_is_missing_is_said(log: Path) -> None:
     assert "the end of the file is lost" in check(lost).stdout
 
 
+def test_what_stands_behind_the_last_line_was_added(log: Path) -> None:
+    data = log.read_bytes()
+    for behind in (b"0.5,40,1,0,3,0,,\n", bytes(4096), b"\n", b"x"):
+        found = judge(data + behind)
+        assert (found.state, found.rows, found.rows_written) == (ALTERED, 100, 100)
+        assert found.notes == (f"{len(behind)} bytes were added behind its last line",)
+    twice = judge(data + data)
+    assert (twice.state, twice.rows_written) == (ALTERED, 100)
+    assert twice.rows > 100
+
+
+def test_a_head_of_a_thousand_lines_is_none(log: Path) -> None:
+    """However many more there are: a file of line ends alone would be looked at one by one."""
+    row = b"0,40,1,0,3,0,,\n"
+    assert judge(b"\n" * 1000 + b"time_s\n" + row).rows == 1
+    assert judge(b"\n" * 1001 + b"time_s\n" + row).rows == 0
+    assert judge(b"# a: b\n" * 1001 + b"time_s\n" + row).rows == 0
+
+
+def test_one_that_cannot_be_read_keeps_no_other_from_being_looked_at(log: Path) -> None:
+    gone = log.with_name("gone.csv")
+    done = CliRunner().invoke(cli, ["check", str(gone), str(log), "--json", "check.json"])
+    assert done.exit_code == 1
+    assert f"{gone}: UNREADABLE; cannot read the log" in done.stdout
+    assert "whole, 100 of 100 rows" in done.stdout
+    assert "1 of 2 logs is not whole" in done.stderr
+    found = json.loads(Path("check.json").read_text())["logs"]
+    assert [one["state"] for one in found] == ["unreadable", "whole"]
+
+
 def test_an_edited_number_is_found(log: Path, tmp_path: Path) -> None:
     text = log.read_text()
     for old, new in (("40,1,0,", "41,1,0,"), ("# target: sim", "# target: hid")):

@@ -53,7 +53,9 @@ def asking(
     """
     before = _asked.get()
     writer = TraceWriter(trace) if trace is not None else None
-    merged = {**before.limits, **(limits or {})}
+    merged = {**before.limits}
+    for name, value in (limits or {}).items():
+        merged[name] = min(value, merged.get(name, value))  # none is made wider
     changed = {**before.guards, **(guards or {})}
     token = _asked.set(Asked(writer or before.trace, merged, changed, reconnect_s or before.reconnect_s))
     try:
@@ -82,9 +84,9 @@ def connect(
     ``hid``, ``hid:SERIAL_OR_PATH`` and ``serial:PORT`` are boards, ``replay:FILE`` a recorded trace. NAME is a profile,
     shipped or a ``.toml`` file, and NAME:REST the same with what follows its medium: a plant, a port, a serial number.
     Simulated boards run in virtual time unless *realtime*. *limits* (keys of a profile's ``[limits]``) can only be
-    stricter than the profile's, *guards* (keys of its ``[guards]``) take the place of its own. A board that goes away
-    in a run is waited for, *reconnect_s*, and braked first of all when it is back; the run has ended. Raises
-    ConfigError for an unknown target or plant, TransportError where it cannot be opened.
+    stricter than the profile's and those of :func:`asking`, *guards* (keys of its ``[guards]``) take the place of its
+    own. A board that goes away in a run is waited for, *reconnect_s*, and braked first of all when it is back; the run
+    has ended. Raises ConfigError for an unknown target or plant, TransportError where it cannot be opened.
     """
     if seed is not None and not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"seed {seed} is outside 0..{MAX_SEED}")
@@ -93,7 +95,7 @@ def connect(
     asked = _asked.get()
     profile = replace(
         profile,
-        limits=profile.limits.within({**asked.limits, **(limits or {})}),
+        limits=profile.limits.within(asked.limits).within(limits or {}),
         guards=profile.guards.changed({**asked.guards, **(guards or {})}),
     )
     clock: Clock = MonotonicClock()

@@ -214,7 +214,7 @@ class _TurnBy:
             self._begin_deg = angle_deg
             if self._place_deg is not None:
                 way = self._place_deg - angle_deg
-                turn = (way if self._command.duty_pct > 0.0 else -way) % 360.0
+                turn = math.copysign(1.0, self._command.duty_pct) * way % 360.0
                 self._angle_deg = turn if turn >= PLAY_DEG else turn + 360.0
         done = abs(angle_deg - self._begin_deg) >= self._angle_deg or k >= self._ticks
         return None if done else (self._command, None)
@@ -288,10 +288,9 @@ class _RampUp:
 
 
 def _onset(log: Log, program: _RampUp, forward: bool) -> Onset:
-    sign = 1.0 if forward else -1.0
     time_s = log.time_s
     moved_deg = log.output - log.output[program.rest_tick]
-    counts = np.rint(sign * moved_deg / log.output_quantum)
+    counts = np.rint((moved_deg if forward else -moved_deg) / log.output_quantum)
     acting = np.interp(time_s - log.command_delay_ticks * log.sample_time_s, time_s, log.duty_pct)
     onset_s = _start_time(time_s[program.rest_tick :], counts[program.rest_tick :])
     first = int(np.argmax(np.abs(acting) > 0.0))  # before it no duty acts at all
@@ -309,9 +308,8 @@ def _onset(log: Log, program: _RampUp, forward: bool) -> Onset:
 
 def _start_time(time_s: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
     """Time at which the shaft started, from the times at which it reached 2, 3, .. counts for good."""
-    largest = int(counts.max())
-    reached: Sequence[int] = range(2, largest + 1)
-    edges = np.array([time_s[int(np.flatnonzero(counts < n)[-1]) + 1] for n in reached if counts[-1] >= n])
+    reached: Sequence[int] = range(2, int(counts[-1]) + 1)
+    edges = np.array([time_s[int(np.flatnonzero(counts < n)[-1]) + 1] for n in reached])
     first = float(time_s[int(np.flatnonzero(counts <= 0)[-1])]) if np.any(counts <= 0) else float(time_s[0])
     if edges.size < 4:
         return first

@@ -7,6 +7,7 @@ half the duty may last four times as long.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from fiohost.errors import GuardError
@@ -29,43 +30,43 @@ class MotorGuard:
         self._guards, self._tick_s = guards, sample_time_s
         self._stall_s = guards.stall_s * patience
         self._stall_deg = STALL_COUNTS * 360.0 / counts_per_rev
-        self._heat_s = self._held_pct = 0.0
-        self._stood_deg: float | None = None  # where the shaft stands
+        self._stood_deg: float  # where the shaft stands
+        self._heat_s: float  # since it does
+        self._held_pct: float  # the duty of the tick before
         self._seen: deque[tuple[int, float]] = deque(maxlen=SPEED_TICKS + 1)
-        self._glitches: deque[bool] = deque(maxlen=GLITCH_TICKS)
+        self._glitches: deque[float] = deque(maxlen=GLITCH_TICKS)  # speeds that cannot be, else 0
         self._sign = 0.0  # of the strong duty that acts now
-        self._far_deg = self._against_deg_s = 0.0
-        self._worst_deg_s = 0.0
+        self._far_deg: float  # the furthest that it has brought the shaft
+        self._against_deg_s: float  # how fast that ran the other way when the duty came on
 
     def check(self, k: int, command: Command, angle_deg: float) -> None:
         """Tick *k*: what is to be sent, and where the shaft is. Raises GuardError."""
-        self._plausible(k, angle_deg)
-        since_s = (k - self._seen[-1][0]) * self._tick_s if self._seen else 0.0
+        if self._seen:
+            last_k, last_deg = self._seen[-1]
+            since_s = max(1, k - last_k) * self._tick_s
+            self._plausible(abs(angle_deg - last_deg) / since_s)
+            self._stall(since_s, angle_deg)
+        else:
+            self._stood_deg, self._heat_s = angle_deg, 0.0
         self._seen.append((k, angle_deg))
-        duty_pct = command.duty_pct if command.mode == DRIVE else 0.0
-        self._stall(since_s, self._held_pct, angle_deg)
-        self._held_pct = duty_pct
-        self._direction(duty_pct, angle_deg)
+        self._held_pct = command.duty_pct if command.mode == DRIVE else 0.0
+        self._direction(self._held_pct, angle_deg)
 
-    def _plausible(self, k: int, angle_deg: float) -> None:
-        if not self._seen:
-            return
-        last_k, last_deg = self._seen[-1]
-        speed = abs(angle_deg - last_deg) / (max(1, k - last_k) * self._tick_s)
-        is_glitch = speed > self._guards.speed_deg_s
-        if is_glitch:
-            self._worst_deg_s = max(self._worst_deg_s, speed)
-        self._glitches.append(is_glitch)
-        if is_glitch and sum(self._glitches) >= GLITCHES:
+    def _plausible(self, speed_deg_s: float) -> None:
+        is_glitch = speed_deg_s > self._guards.speed_deg_s
+        self._glitches.append(speed_deg_s if is_glitch else 0.0)
+        found = sum(map(bool, self._glitches))
+        if is_glitch and found >= GLITCHES:
             raise GuardError(
-                f"the encoder says things that cannot be: {sum(self._glitches)} of the last {len(self._glitches)} "
-                f"readings are jumps, up to {self._worst_deg_s:.0f} deg/s, beyond guards.speed_deg_s = "
+                f"the encoder says things that cannot be: {found} of the last {len(self._glitches)} "
+                f"readings are jumps, up to {max(self._glitches):.0f} deg/s, beyond guards.speed_deg_s = "
                 f"{self._guards.speed_deg_s:g}: braked; check the encoder's wires, its supply and the reports' layout"
             )
 
-    def _stall(self, since_s: float, duty_pct: float, angle_deg: float) -> None:
-        """So long the board has held that duty: ticks that the host missed count as well."""
-        if self._stood_deg is None or abs(angle_deg - self._stood_deg) > self._stall_deg:
+    def _stall(self, since_s: float, angle_deg: float) -> None:
+        """So long the board has held the duty of the tick before: ticks that the host missed count as well."""
+        duty_pct = self._held_pct
+        if abs(angle_deg - self._stood_deg) > self._stall_deg:
             self._stood_deg, self._heat_s = angle_deg, 0.0
             return
         if not duty_pct:
@@ -80,7 +81,7 @@ class MotorGuard:
             )
 
     def _direction(self, duty_pct: float, angle_deg: float) -> None:
-        sign = (duty_pct > 0.0) - (duty_pct < 0.0) if abs(duty_pct) >= STRONG_PCT else 0.0
+        sign = math.copysign(1.0, duty_pct) if abs(duty_pct) >= STRONG_PCT else 0.0
         speed = self._speed_deg_s()
         if not sign or sign != self._sign or any(self._glitches):  # a wrong reading shifts angle and speed
             self._sign = sign

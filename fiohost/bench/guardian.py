@@ -37,13 +37,10 @@ FRAMES = 16  # of a layout that numbers its commands: spread over all numbers
 class Guardian:
     """One guardian for one open line. A context of its use: :meth:`on_duty`."""
 
-    def __init__(
-        self, process: subprocess.Popen[bytes], cells: memoryview, word: socket.socket, gap_s: float = 0.0
-    ) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], cells: memoryview, word: socket.socket, gap_s: float) -> None:
         self._process, self._cells, self._word = process, cells, word
         self._deaf_s = max(DEAF_LIMIT_S, gap_s)  # who lets the host stand still for so long lets its guardian too
         self._own_beat, self._heard_s = 0, time.monotonic()
-        self._armed = False
 
     @classmethod
     def of(cls, transport: Transport, profile: TargetProfile) -> Guardian | None:
@@ -53,7 +50,7 @@ class Guardian:
             return None
         ours, theirs = socket.socketpair()
         memory = _memory()
-        step = max(1, profile.codec.command_numbers // FRAMES)
+        step = -(-profile.codec.command_numbers // FRAMES)
         frames = [profile.codec.encode(BRAKE_COMMAND, n) for n in range(0, profile.codec.command_numbers, step)]
         settings = {
             "memory": memory,

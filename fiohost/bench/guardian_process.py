@@ -20,8 +20,8 @@ import sys
 import time
 from typing import Any
 
-CELLS = 8
-BEAT, ARMED, STATE, OWN_BEAT, TRIPS, REACHES = range(6)  # what each cell of the shared memory holds
+CELLS = 6
+BEAT, ARMED, STATE, OWN_BEAT, TRIPS, REACHES = range(CELLS)  # what each cell of the shared memory holds
 STARTING, READY, TRIPPED = range(3)  # values of STATE
 
 IDLE_S = 0.05

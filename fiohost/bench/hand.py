@@ -41,7 +41,8 @@ class Hand:
         self._change = threading.Condition()
         self._command, self._ref_deg = BRAKE_COMMAND, math.nan
         self._budget = 0  # ticks that a paced board may go on
-        self._tick, self._began, self._waits, self._ends = 0, False, False, False
+        self._tick: int  # of the newest reading
+        self._began = self._waits = self._ends = False
         self._angles: deque[tuple[int, float]] = deque(maxlen=SPEED_TICKS + 1)
         self._rows: list[Tick] = []
         self._touched_s = monotonic()
@@ -103,7 +104,6 @@ class Hand:
         else:
             raise ConfigError(f"a sleep of {seconds!r} s is not within 0 to {LONGEST_S:g} s")
         with self._change:
-            self._touch()
             until = self._tick + ticks
             self._asleep = True
             if self._paced and ticks:

@@ -15,8 +15,8 @@ OUTPUT_UNITS = {"angle_deg": "deg", "speed_deg_s": "deg/s", "position_m": "m", "
 
 def needed_columns(names: list[str]) -> list[str]:
     """Columns without which a row cannot be used."""
-    output = "pos" if "pos" in names else next((n for n in OUTPUT_UNITS if n in names), None)
-    return [n for n in ("time_s", "duty_pct", "c3", "c4", output) if n is not None and n in names]
+    outputs = [name for name in ("pos", *OUTPUT_UNITS) if name in names]
+    return [name for name in ("time_s", "duty_pct", "c3", "c4") if name in names] + outputs[:1]
 
 
 def read_head(text: str, path: Path) -> tuple[dict[str, str], list[str], int, int]:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiohost.bench.head import MAX_METADATA_LINES
+
 PREFIX = "# end: "
 _END = re.compile(rb"# end: rows=(\d{1,12}) crc32_head=([0-9a-f]{8}) crc32_rows=([0-9a-f]{8})\n?")
 BLOCK = 1 << 18  # bytes that are looked at at a time
@@ -36,8 +38,8 @@ class Integrity:
 
 def judge(data: bytes) -> Integrity:
     """Hold the bytes of a log against its last line."""
-    begin = data.rfind(b"\n", 0, len(data) - data.endswith(b"\n")) + 1  # of the last line
-    found = _END.fullmatch(data, begin)
+    begin = data.rfind(b"\n" + PREFIX.encode()) + 1  # of the line that ought to be the last
+    found = _END.match(data, begin)
     if found is None or not begin:
         return _without_end(data)
     at = _first_row(data, begin)
@@ -51,6 +53,9 @@ def judge(data: bytes) -> Integrity:
         notes.append("the rows are not those that were written")
     if zlib.crc32(head) != int(found[2], 16):
         notes.append("the head is not the one that was written")
+    behind = len(data) - found.end()
+    if behind:
+        notes.append(f"{behind} bytes were added behind its last line")
     return Integrity(ALTERED if notes else WHOLE, there, written, tuple(notes))
 
 
@@ -59,9 +64,11 @@ def _without_end(data: bytes) -> Integrity:
     head = data[:at]
     whole = line_ends(data, at)
     notes = []
-    if data and not data.endswith(b"\n"):
+    if not data:
+        return Integrity(UNKNOWN, 0, None, ())
+    if not data.endswith(b"\n"):
         notes.append("the last line is cut off in its middle")
-    if b"\n# host_version:" not in head and b"# host_version:" not in head[:15]:
+    if b"\n# host_version:" not in head and not head.startswith(b"# host_version:"):
         notes.append("it has no last line with row count and check sum: another program made it")
         return Integrity(UNKNOWN, whole, None, tuple(notes))
     if b"\n# ending: unfinished" in head:
@@ -78,12 +85,14 @@ def line_ends(data: bytes, start: int = 0, end: int | None = None) -> int:
 
 
 def _first_row(data: bytes, end: int) -> int:
-    """Where the rows begin, behind metadata and column names; *end* where there are none."""
+    """Where the rows begin, behind metadata and column names; *end* where there are none, or too long a head."""
     at = 0
-    while data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at, end):
+    for _ in range(MAX_METADATA_LINES + 1):
+        is_row = not data.startswith((b"#", b"\xef\xbb\xbf#", b"\n"), at, end)
         found = data.find(b"\n", at, end)
         if found < 0:
             return end
         at = found + 1
-    found = data.find(b"\n", at, end)
-    return end if found < 0 else found + 1
+        if is_row:  # the column names
+            return at
+    return end

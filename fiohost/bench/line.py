@@ -54,7 +54,7 @@ class Line:
 
     def begin(self) -> None:
         """Nobody listened for a while: that is neither loss nor lateness."""
-        if self.transport.lock_step and self.clock.real:
+        if self.clock.real:  # what is due is waited for in lock step alone
             self._due_s = self.clock.now_s()
         self.link.begin()
 
@@ -63,7 +63,7 @@ class Line:
         TelemetryTimeoutError after ``silence_s`` of nothing, DisconnectedError.
         """
         lock_step = self.transport.lock_step
-        late_s = self._wait() if lock_step else 0.0
+        late_s = self._wait() if lock_step else None  # else it is known only when a reading has come
         before_s = self.clock.now_s()
         statistics = self.statistics
         unread, turned_s = statistics.passed_over, before_s - self.read_s
@@ -78,12 +78,13 @@ class Line:
             statistics.refused += 1
             problem = exc
         else:
-            statistics.count(late_s if lock_step else self.read_s - before_s - self.profile.sample_time_s)
-            if not lock_step:
+            if late_s is None:
+                late_s = self.read_s - before_s - self.profile.sample_time_s
                 self._judge(turned_s, self.read_s - before_s, statistics.passed_over - unread)
+            statistics.count(late_s)
             self._lost_in_a_row = 0
             return reading
-        statistics.count(late_s if lock_step else self.clock.now_s() - before_s - self.profile.sample_time_s)
+        statistics.count(self.clock.now_s() - before_s - self.profile.sample_time_s if late_s is None else late_s)
         self._lost_in_a_row += 1
         if self._lost_in_a_row * self.profile.sample_time_s >= self._silence_s:
             self._lost_in_a_row = 0

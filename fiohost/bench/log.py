@@ -181,7 +181,7 @@ class Log:
         """What the bridge was told on each row: DRIVE (1), BRAKE (2) or STANDBY (0); without c3 and c4 all DRIVE."""
         if "c3" not in self.columns or "c4" not in self.columns:
             return np.full(len(self), DRIVE, dtype=np.int8)
-        c3, c4 = self.columns["c3"] > 0.5, self.columns["c4"] > 0.5
+        c3, c4 = self.columns["c3"] == 1.0, self.columns["c4"] == 1.0
         return np.where(c3 & c4, BRAKE, np.where(c3 | c4, DRIVE, STANDBY)).astype(np.int8)
 
     @property
@@ -212,7 +212,7 @@ class Log:
         """Noise of the sensor beside its counts, rms in the output's unit; None where nobody says it."""
         if not self.metadata.get("output_noise_rms", "").strip():
             return None
-        return self._number("output_noise_rms", 0.0, low=0.0)
+        return self._number("output_noise_rms", math.nan, low=0.0)
 
     @property
     def output_average(self) -> str:

@@ -69,7 +69,8 @@ def settle(line: Line, stop: StopSignals) -> bool:
     """
     sample_time_s, real_line = line.profile.sample_time_s, not line.transport.lock_step
     line.begin()
-    quiet, last, shaft = 0, -1, Shaft(line)
+    line.count_anew()
+    at_rest, quiet, last, shaft = False, 0, -1, Shaft(line)
     rate = cable.Rate(line.transport.name, line.profile)
     for turn in range(round(SETTLE_LIMIT_S / sample_time_s)):
         stop.check()
@@ -83,9 +84,9 @@ def settle(line: Line, stop: StopSignals) -> bool:
         shaft.note(line.steps, reading.pos)
         quiet = quiet + 1 if reading.pos == last else 0
         last = reading.pos
-        if quiet * sample_time_s >= REST_S and rate.is_right():
+        at_rest = quiet * sample_time_s >= REST_S
+        if at_rest and rate.is_right():
             break
-    at_rest = quiet * sample_time_s >= REST_S
     if line.transport.can_reopen and not at_rest and not _is_slow(line, shaft):
         raise MotorRunningError(
             f"the brake was sent for {SETTLE_LIMIT_S:g} s before the run, and {_turning(shaft)}: THE MOTOR MAY BE "

@@ -44,7 +44,7 @@ def parse_rows(
     columns = dict(zip(names, np.empty((len(names), line_ends(data, start, end))), strict=True))
     textual: dict[str, None] = {}
     bad = rows = kept = 0
-    first_bad = -1
+    first_bad: int | None = None
     begin = start
     while start < end:
         stop = min(after_line(data, start + PIECE_BYTES), end)
@@ -52,7 +52,7 @@ def parse_rows(
             found = _parse_piece(data, start, stop, names, needed)
         except UnicodeDecodeError as exc:
             raise LogError(f"{where} is not a log: byte {start + exc.start} is not UTF-8 text") from exc
-        if found.bad and first_bad < 0:
+        if found.bad and first_bad is None:
             first_bad = first_line + line_ends(data, begin, start) + found.bad[0]
         start, bad, rows = stop, bad + len(found.bad), rows + found.rows
         textual |= dict.fromkeys(found.textual)

@@ -63,7 +63,7 @@ def _onset(logs: list[Log], duty_pct: float, forward: bool) -> Onset:
     return Onset(
         forward=forward,
         duty_pct=duty_pct,
-        at_angle_deg=float(logs[-1].output[0] % 360.0),
+        at_angle_deg=float(logs[-1].output[0]),  # an angle begins within its turn
         onset_s=start_s,
         time_s=np.concatenate(times),
         duty_acting_pct=np.concatenate(duties),

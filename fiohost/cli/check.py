@@ -35,7 +35,13 @@ def check(logs: Sequence[Path], json_to: str | None) -> None:
     out = output_for(json_to)
     results: list[dict[str, Any]] = []
     for path in logs:
-        found = judge(files.read_input(path, MAX_LOG_BYTES, "the log", LogError))
+        try:
+            found = judge(files.read_input(path, MAX_LOG_BYTES, "the log", LogError))
+        except LogError as exc:  # the others are looked at all the same
+            out(f"{path}: UNREADABLE; {exc}")
+            results.append({"log": path, "state": "unreadable", "rows": 0, "rows_written": None, "ending": "",
+                            "notes": [str(exc)]})  # fmt: skip
+            continue
         notes, ending, last_s = list(found.notes), "", None
         try:
             log = Log.read(path)

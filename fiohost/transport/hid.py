@@ -189,7 +189,7 @@ class HidTransport(Transport):
             raise self._silence(timeout_s)
         while True:
             left_s = deadline_s - time.monotonic()
-            first = self._read(max(1, math.ceil(1e3 * left_s))) if left_s > 0.0 else self._read()
+            first = self._read(math.ceil(1e3 * left_s)) if left_s > 0.0 else self._read()
             if first:
                 break
             if left_s <= 0.0:
@@ -197,7 +197,7 @@ class HidTransport(Transport):
         newest, others = self._drain(first)
         if others >= FULL_QUEUE:  # a full queue loses the newest: what is in it is old, what comes next is not
             left_s = deadline_s - time.monotonic()
-            fresh = self._read(max(1, math.ceil(1e3 * left_s))) if left_s > 0.0 else b""
+            fresh = self._read(math.ceil(1e3 * left_s)) if left_s > 0.0 else b""
             if fresh:
                 newest, more = self._drain(fresh)
                 others += 1 + more

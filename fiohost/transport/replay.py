@@ -34,7 +34,7 @@ class ReplayTransport(Transport):
         self.facts["replay_of"] = str(head.get("target", ""))[:200]
         self._paced = paced
         self._events: Iterator[Event] = iter(())
-        self._began_s = 0.0
+        self._began_s: float  # when it was opened
         self._open = self._ended = False
         self.time_s = 0.0  # of the last event that was played
 

@@ -57,7 +57,7 @@ class SerialTransport(Transport):
         self._baud = baud
         self._key: tuple[object, ...] | None = None  # of a USB port, once it is known
         self._port: Any = None
-        self._fd = -1  # the port as a file; below 0 where it is none
+        self._fd: int | None = None  # the port as a file, where it is one
 
     def open(self) -> None:
         path = _find(self._asked)
@@ -85,11 +85,11 @@ class SerialTransport(Transport):
         _keep_others_out(port)
         with suppress(*_GONE, AttributeError, NotImplementedError):
             port.set_low_latency_mode(True)  # a pty and most CDC ports have no such thing
-        self._port, self._fd = port, port.fileno() if AS_FILE else -1
+        self._port, self._fd = port, port.fileno() if AS_FILE else None
 
     def send(self, report: bytes) -> None:
         try:
-            if self._fd >= 0:
+            if self._fd is not None:
                 _write(self._fd, report)
             else:
                 self._taken().write(report)
@@ -102,7 +102,7 @@ class SerialTransport(Transport):
 
     def receive(self, timeout_s: float) -> bytes:
         try:
-            data = _read(self._fd, timeout_s) if self._fd >= 0 else _read_port(self._taken(), timeout_s)
+            data = _read_port(self._taken(), timeout_s) if self._fd is None else _read(self._fd, timeout_s)
         except _GONE as exc:
             raise self._gone(exc) from exc
         if not data:
@@ -110,14 +110,14 @@ class SerialTransport(Transport):
         return data
 
     def close(self) -> None:
-        port, self._port, self._fd = self._port, None, -1
+        port, self._port, self._fd = self._port, None, None
         if port is not None:
             with suppress(*_GONE):
                 port.close()
 
     @property
     def way(self) -> Way | None:
-        return Way(fd=self._fd) if self._fd >= 0 else None
+        return None if self._fd is None else Way(fd=self._fd)
 
     def _taken(self) -> Any:
         if self._port is None:
