@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fiohost.bench import rows
 from fiohost.bench.head import needed_columns, read_head
 from fiohost.bench.log import Log
-from fiohost.bench.rows import parse_rows
+from fiohost.bench.rows import Rows, parse_rows
 from fiohost.errors import LogError
 
 
@@ -180,32 +181,36 @@ def test_a_row_needs_its_time_its_command_and_one_output() -> None:
     assert needed_columns(["time_s", "duty_pct"]) == ["time_s", "duty_pct"]
 
 
+def rows_of(data: bytes, names: list[str], needed: list[str], first_line: int) -> Rows:
+    return parse_rows(data, 0, len(data), names, needed, first_line, "x")
+
+
 def test_a_table_has_two_hundred_columns_at_most() -> None:
     for count, is_read in ((200, True), (201, False)):
         names = [f"c{k}" for k in range(count)]
         line = (",".join("1" * count) + "\n").encode()
         if is_read:
-            assert len(parse_rows([line], 1, names, [], 2, "x").columns) == 200
+            assert len(rows_of(line, names, [], 2).columns) == 200
         else:
             with pytest.raises(LogError, match="201 columns, at most 200"):
-                parse_rows([line], 1, names, [], 2, "x")
+                rows_of(line, names, [], 2)
 
 
 def test_a_tenth_of_the_lines_may_be_broken() -> None:
     def parsed(good: int, bad: int) -> int:
         lines = b"1,2\n" * good + b"1\n" * bad
-        return parse_rows([lines], good + bad, ["a", "b"], ["a"], 10, "x").columns["a"].size
+        return rows_of(lines, ["a", "b"], ["a"], 10).columns["a"].size
 
     assert [parsed(18, 2), parsed(1, 1), parsed(0, 1)] == [18, 1, 0]
     with pytest.raises(LogError, match=r"x: 2 of 19 lines do not fit the 2 columns \(the first is line 27\)"):
         parsed(17, 2)
 
 
-def test_text_costs_its_row_where_it_is_needed_and_its_column_elsewhere() -> None:
+def test_text_costs_its_row_where_it_is_needed_and_its_column_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rows, "PIECE_BYTES", 80)  # a few lines each
     lines = [f"{k},{k},t,u,v,w" for k in range(20)]
     lines[3], lines[12] = "x,3,t,u,v,w", "12,y,t,u,v,w"
-    pieces = [("\n".join(part) + "\n").encode() for part in (lines[:8], lines[8:])]
-    found = parse_rows(pieces, 20, list("abcdef"), ["a", "b"], 5, "x")
+    found = rows_of(("\n".join(lines) + "\n").encode(), list("abcdef"), ["a", "b"], 5)
     assert found.columns.keys() == {"a", "b"}
     wanted = [float(k) for k in range(20) if k not in (3, 12)]
     assert found.columns["a"].tolist() == found.columns["b"].tolist() == wanted
@@ -216,10 +221,10 @@ def test_text_costs_its_row_where_it_is_needed_and_its_column_elsewhere() -> Non
 
 
 def test_empty_fields_and_lines_and_remarks_are_no_numbers_and_no_faults() -> None:
-    found = parse_rows([b",2\n1,\n,\n\n# a remark\n3,4\n"], 6, ["a", "b"], [], 2, "x")
+    found = rows_of(b",2\n1,\n,\n\n# a remark\n3,4\n", ["a", "b"], [], 2)
     np.testing.assert_array_equal(found.columns["a"], [np.nan, 1.0, np.nan, 3.0])
     np.testing.assert_array_equal(found.columns["b"], [2.0, np.nan, np.nan, 4.0])
     assert found.notes == ()
-    one = parse_rows([b"1\n\n \nx\n#c\n2\n"], 6, ["a"], ["a"], 2, "x")
+    one = rows_of(b"1\n\n \nx\n#c\n2\n", ["a"], ["a"], 2)
     assert one.columns["a"].tolist() == [1.0, 2.0]
     assert one.notes == ("1 lines that do not fit the columns (the first is line 5)",)
