@@ -63,6 +63,14 @@ def test_a_log_is_known_by_all_that_it_holds() -> None:
     assert Log.parse(text, sha256="told").sha256 == "told"
 
 
+def test_a_log_is_equal_to_itself_alone() -> None:
+    """What it holds is arrays: logs stand in sets and are keys by what they are."""
+    one, other = log(), log()
+    assert one == one
+    assert one != other
+    assert len({one, other, one}) == 2
+
+
 def test_a_log_is_shown_in_a_line() -> None:
     assert repr(log()) == "<Log (memory): 5 rows, 1 s of time_s, duty_pct, pos>"
     assert repr(log(1)) == "<Log (memory): 1 rows of time_s, duty_pct, pos>"
