@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
+from short_runs import logs_of
 
+from fiohost.bench.experiment import Experiment
 from fiohost.discover import objective
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.folds import folds
@@ -22,7 +25,7 @@ from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import Record, make_record
+from fiohost.estimation.record import Record, make_record, record_from_log
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -87,6 +90,26 @@ def test_a_warmth_of_which_windows_say_little_is_found_by_the_whole_run(warmth: 
     y = free_output(record, Flat.of(truth), Start(292.6, 0.0, warmth=warmth))
     begun = replace(record, y=np.floor(y / QUANTUM_DEG) * QUANTUM_DEG)
     assert judge(begun, truth).errors.free_run_rms < 1.5 * COUNT_NOISE
+
+
+def test_a_start_that_the_first_second_does_not_show_is_the_one_that_was_fitted(tmp_path: Path) -> None:
+    """A sum of sines that begins slowly: the shaft rests in its count, and each start leads elsewhere."""
+    truth = Model.parse("linear+coulomb_friction+fast_decay+backlash").with_values(
+        {
+            "linear.gain_deg_s_per_pct": 6.684,
+            "linear.tau_s": 0.0788,
+            "coulomb_friction.level_pct": 1.249,
+            "fast_decay.electrical_tau_s": 0.00195,
+            "backlash.gap_deg": 4.19,
+            "backlash.side": "encoder_before_gap",
+            "backlash.load_inertia_ratio": 0.445,
+        }
+    )
+    record = record_from_log(logs_of("sim", tmp_path, [Experiment.load("multisine")])[0])
+    start = Start(0.39, 0.0, play=0.75, drift=1.3)
+    begun = replace(record, y=np.floor(free_output(record, Flat.of(truth), start) / QUANTUM_DEG) * QUANTUM_DEG)
+    assert judge(begun, truth).errors.free_run_rms > 10.0 * COUNT_NOISE
+    assert judge(begun, truth, fitted=start).errors.free_run_rms < 2.0 * COUNT_NOISE
 
 
 @pytest.mark.parametrize("follows", effect("friction_warm_up").parameter("follows").choices)

@@ -97,7 +97,9 @@ class Stage:
 
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
     """Judge a fit on whole records; it may have been fitted to pieces of them."""
-    judgements = each(lambda r: judge(r, fitted.model), records)
+    whole = not fitted.windows and len(fitted.starts) == len(records)
+    starts = fitted.starts if whole else [None] * len(records)
+    judgements = each(lambda i: judge(records[i], fitted.model, fitted=starts[i]), range(len(records)))
     models = replica_models(fitted, fitted_records, rng)
     found = floors(records, fitted.model, judgements, models, rng)
     above = excesses(records, judgements, found)
