@@ -16,9 +16,6 @@ from fiohost.motor.simulate import Start
 
 FLOOR = SETTINGS.floor
 
-# A start that leaves less than this share of the squared error is another one, not the same a little better.
-ANOTHER_START = 0.25
-
 
 @dataclass(frozen=True)
 class Errors:
@@ -123,7 +120,7 @@ def judge(
     start = initial_state(record, flat, data, near=near)
     if fitted is not None and flat.gap:
         own, other = (float(np.sum((data - free_output(record, flat, s)) ** 2)) for s in (start, fitted))
-        start = fitted if other < ANOTHER_START * own else start
+        start = fitted if other < FLOOR.another_start * own else start
     flat = flat.from_zero(start.zero)
     states = free_states(record, flat, start)
     simulated = read(record, flat, states)

@@ -133,6 +133,9 @@ class FloorSettings:
     lost_counts: float = 0.5
     # Windows whose residual spans so many counts are wide: no angle fits all their samples.
     wide: float = 1.15
+    # A fitted start that leaves less than this share of the squared error is another one, not the same a little better:
+    # play and drift in a gap that the first second does not show.
+    another_start: float = 0.25
 
 
 @dataclass(frozen=True)
