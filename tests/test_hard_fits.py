@@ -33,6 +33,12 @@ from fiohost.motor.simulate import Start
 COUNT_NOISE = QUANTUM_DEG / np.sqrt(12.0)
 
 
+def begun(record: Record, truth: Model, start: Start) -> Record:
+    """The record as its commands would give it from another start, in counts."""
+    y = free_output(record, Flat.of(truth), start)
+    return replace(record, y=np.floor(y / QUANTUM_DEG) * QUANTUM_DEG)
+
+
 @pytest.mark.parametrize("which", effect("parameter_change").parameter("which").choices)
 def test_the_moment_of_an_event_is_found_from_windows(which: str) -> None:
     rng = np.random.default_rng(21)
@@ -63,10 +69,9 @@ def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     warming = {"friction_warm_up.ratio": 0.6, "friction_warm_up.time_constant_s": 40.0}
     truth = truth_model(("coulomb_friction", "friction_warm_up"), warming)
     record = measure(truth, steps(20.0, rng), rng)
-    warm = free_output(record, Flat.of(truth), Start(0.2, 0.0, warmth=0.7))
-    begun = replace(record, y=np.floor(warm / QUANTUM_DEG) * QUANTUM_DEG)
-    assert initial_state(begun, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
-    assert judge(begun, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
+    warm = begun(record, truth, Start(0.2, 0.0, warmth=0.7))
+    assert initial_state(warm, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
+    assert judge(warm, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
 
 
 @pytest.mark.parametrize("warmth", [0.5, 0.7])
@@ -87,9 +92,8 @@ def test_a_warmth_of_which_windows_say_little_is_found_by_the_whole_run(warmth: 
     mode = np.where(duty != 0.0, 1, 2)
     times = np.arange(len(duty)) * TICK_S
     record = make_record("pulses", times, duty, np.zeros(len(duty)), mode=mode, quantum=QUANTUM_DEG, at_rest=True)
-    y = free_output(record, Flat.of(truth), Start(292.6, 0.0, warmth=warmth))
-    begun = replace(record, y=np.floor(y / QUANTUM_DEG) * QUANTUM_DEG)
-    assert judge(begun, truth).errors.free_run_rms < 1.5 * COUNT_NOISE
+    warm = begun(record, truth, Start(292.6, 0.0, warmth=warmth))
+    assert judge(warm, truth).errors.free_run_rms < 1.5 * COUNT_NOISE
 
 
 def test_a_start_that_the_first_second_does_not_show_is_the_one_that_was_fitted(tmp_path: Path) -> None:
@@ -107,9 +111,9 @@ def test_a_start_that_the_first_second_does_not_show_is_the_one_that_was_fitted(
     )
     record = record_from_log(logs_of("sim", tmp_path, [Experiment.load("multisine")])[0])
     start = Start(0.39, 0.0, play=0.75, drift=1.3)
-    begun = replace(record, y=np.floor(free_output(record, Flat.of(truth), start) / QUANTUM_DEG) * QUANTUM_DEG)
-    assert judge(begun, truth).errors.free_run_rms > 10.0 * COUNT_NOISE
-    assert judge(begun, truth, fitted=start).errors.free_run_rms < 2.0 * COUNT_NOISE
+    drifts = begun(record, truth, start)
+    assert judge(drifts, truth).errors.free_run_rms > 10.0 * COUNT_NOISE
+    assert judge(drifts, truth, fitted=start).errors.free_run_rms < 2.0 * COUNT_NOISE
 
 
 @pytest.mark.parametrize("follows", effect("friction_warm_up").parameter("follows").choices)
