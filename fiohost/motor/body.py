@@ -34,19 +34,13 @@ from fiohost.motor.hooks import (
     torque,
 )
 from fiohost.motor.state import (
-    CURRENT,
     DRIVE,
     GAIN,
     HALF,
-    HELD,
-    LOAD_OMEGA,
-    LOAD_THETA,
     MIDDLE,
     MOST_STEPS,
-    OMEGA,
     PART,
     STANDBY,
-    THETA,
     WHOLE,
 )
 
@@ -80,13 +74,14 @@ def asked(joint, time, x, p, on):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def glide(x, volts, mode, span, force, has):  # type: ignore[no-untyped-def]
-    """Carry the body over a span of constant voltage, in percent, and a constant torque."""
+def glide(at, x, volts, mode, span, force, has):  # type: ignore[no-untyped-def]
+    """The body, ``at`` a state, after a span of constant voltage, in percent, and a constant torque."""
     _, _, _, _, _, _, forward, reverse, extra, (gain, per_gain, mass, _, _, _, _, _, _, half_gap) = has
     emf, tau = mode != STANDBY, gain * mass
     if not emf:
         volts = 0.0
-    theta, omega, amps, left = x[THETA], x[OMEGA], volts, span
+    theta, omega, load_theta, _, contact, _, _ = at
+    amps, left = volts, span
     if omega != 0.0:
         net = force - forward if omega > 0.0 else force + reverse
         turn, after, amps = one_body(omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, span, x, WHOLE)
@@ -96,7 +91,7 @@ def glide(x, volts, mode, span, force, has):  # type: ignore[no-untyped-def]
             turn, _, _ = one_body(omega, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, h, x, PART)
             after, left = 0.0, span - h
         theta, omega = theta + turn, after
-        _trail(x, theta, half_gap)
+        load_theta = _trail(load_theta, theta, half_gap)
     if left > 0.0:
         amps, push = volts, volts + force
         if push > forward + extra or push < -reverse - extra:
@@ -105,15 +100,16 @@ def glide(x, volts, mode, span, force, has):  # type: ignore[no-untyped-def]
             turn, after, flowing = one_body(0.0, 0.0, volts, net, gain, per_gain, tau, 0.0, 1.0, emf, left, x, at)
             if after * push > 0.0:
                 theta, omega, amps = theta + turn, after, flowing
-        _trail(x, theta, half_gap)
-    x[THETA], x[OMEGA], x[LOAD_OMEGA], x[CURRENT], x[HELD] = theta, omega, omega, amps, 0.0
+        load_theta = _trail(load_theta, theta, half_gap)
+    return theta, omega, load_theta, omega, contact, amps, 0.0
 
 
 @inlined
-def _trail(x, theta, half_gap):  # type: ignore[no-untyped-def]
-    """A load without inertia trails the motor through its play."""
+def _trail(load_theta, theta, half_gap):  # type: ignore[no-untyped-def]
+    """Where a load without inertia is that trails the motor through its play."""
     if half_gap > 0.0:
-        x[LOAD_THETA] = min(max(x[LOAD_THETA], theta - half_gap), theta + half_gap)
+        return min(max(load_theta, theta - half_gap), theta + half_gap)
+    return load_theta
 
 
 @inlined
@@ -145,13 +141,14 @@ def _acting(theta, omega, time, duty, mode, direction, per_gain, lost, has, x, s
 
 
 @inlined
-def slide(x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore[no-untyped-def]
-    """Carry the body over a span of constant command; the arguments are those of ``step``."""
+def slide(at, x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore[no-untyped-def]
+    """The body, ``at`` a state, after a span of constant command; the arguments are those of ``step``."""
     _, _, remembering, ending, _, _, _, _, extra, (gain, per_gain, mass, _, _, _, _, _, _, half_gap) = has
     tau = gain * mass
     if lost[2] and mode == DRIVE and duty == 0.0:
         mode = STANDBY
-    emf, theta, omega, amps, left = mode != STANDBY, x[THETA], x[OMEGA], x[CURRENT], span
+    theta, omega, load_theta, _, contact, amps, _ = at
+    emf, left = mode != STANDBY, span
     for k in range(MOST_STEPS):
         if left <= SAME_TIME_S:
             break
@@ -199,10 +196,10 @@ def slide(x, duty, mode, time, span, substep, lost, has, p, on):  # type: ignore
         theta, omega = theta + turn, after
         if ended:
             theta, omega = jumped(theta, omega, p, on)
-        _trail(x, theta, half_gap)
+        load_theta = _trail(load_theta, theta, half_gap)
         left -= h
         time += h
-    x[THETA], x[OMEGA], x[LOAD_OMEGA], x[CURRENT], x[HELD] = theta, omega, omega, amps, 0.0
+    return theta, omega, load_theta, omega, contact, amps, 0.0
 
 
 @part

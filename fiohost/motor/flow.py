@@ -70,6 +70,13 @@ def one_body(omega, amps, volts, force, gain, per_gain, tau, lag, ohms, emf, dt,
     return steady * dt - gain * (lag * (v1 - v) + ohms * tau * (w1 - w)), steady + gain * w1, v1 - force
 
 
+@part
+def mean_current(amps, volts, ohms, lag, dt):  # type: ignore[no-untyped-def]
+    """Mean over dt of a current that tends from ``amps`` to what a constant voltage drives."""
+    tends, spans = volts / ohms, dt * ohms / lag
+    return tends - (amps - tends) * expm1(-spans) / spans
+
+
 @inlined
 def time_to_rest(omega, volts, force, gain, tau, emf, dt):  # type: ignore[no-untyped-def]
     """When a body whose current has no lag comes to rest, given that it does within dt."""

@@ -21,6 +21,7 @@ from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
 from fiohost.motor.flow import SAME_TIME_S
 from fiohost.motor.hooks import (
+    FIXED_STATES,
     PERIOD,
     bristles,
     command,
@@ -33,7 +34,19 @@ from fiohost.motor.hooks import (
     torque,
     voltage,
 )
-from fiohost.motor.state import GAIN, HELD, SMALLEST_SHARE, STATE_SIZE, TAU
+from fiohost.motor.state import (
+    CONTACT,
+    CURRENT,
+    GAIN,
+    HELD,
+    LOAD_OMEGA,
+    LOAD_THETA,
+    OMEGA,
+    SMALLEST_SHARE,
+    STATE_SIZE,
+    TAU,
+    THETA,
+)
 from fiohost.motor.step import advance
 
 # How a motor steps: over a whole hold, as one body, or by any step.
@@ -70,6 +83,21 @@ def _acting(act_times, now):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _written(at, x, to):  # type: ignore[no-untyped-def]
+    """Write a state, and the effects' own in ``x``, to an array."""
+    to[THETA], to[OMEGA], to[LOAD_THETA], to[LOAD_OMEGA], to[CONTACT], to[CURRENT], to[HELD] = at
+    for i in range(FIXED_STATES, STATE_SIZE):
+        to[i] = x[i]
+
+
+@inlined
+def _held(duty, time, x, p, on):  # type: ignore[no-untyped-def]
+    """Voltage and torque where both stay over a hold."""
+    at = 0.0, 0.0, time
+    return voltage(duty, (duty, time), x, 0, p, on), torque(at, p, on) + load(at, p, on)
+
+
+@inlined
 def _run(  # type: ignore[no-untyped-def]
     way, kind, more, special, times, act_times, duties, modes, clock, first, last, x, substep, joint, lag, lost, p, on,
     states,
@@ -85,26 +113,29 @@ def _run(  # type: ignore[no-untyped-def]
     acts = act_times[j] + late if j < n else inf
     duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
     if way == GLIDE:
-        volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
-        force = torque(at, p, on) + load(at, p, on)
-    for i in range(STATE_SIZE):
-        states[0, i] = x[i]
+        volts, force = _held(duty, clock + now, x, p, on)
+    at = x[THETA], x[OMEGA], x[LOAD_THETA], x[LOAD_OMEGA], x[CONTACT], x[CURRENT], x[HELD]
+    _written(at, x, states[0])
     for k in range(first + 1, last):
         while now < times[k]:
-            until = times[k]
-            changes = acts < until
-            if changes:
-                until = max(acts, now)
-            if change < until:
-                until, changes = change, False
+            if acts <= now:
+                j += 1
+                acts = act_times[j] + late if j < n else inf
+                if duties[j] != duties[j - 1] or modes[j] != mode:
+                    at = at[:-1] + (0.0,)  # noqa: RUF005 (numba knows no star)
+                    duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
+                    if way == GLIDE:
+                        volts = voltage(duty, (duty, clock + now), x, 0, p, on)
+                continue
+            until = min(times[k], acts, change)
             if until - now > SAME_TIME_S:  # rounding alone is no span
                 if way == GLIDE:
-                    glide(x, volts, mode, until - now, force, has)
+                    at = glide(at, x, volts, mode, until - now, force, has)
                 elif way == SLIDE:
-                    slide(x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
+                    at = slide(at, x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
                 else:
-                    advance(
-                        x, duty, mode, clock + now, until - now, substep, kind, lag, lost, has, more, special,
+                    at = advance(
+                        at, x, duty, mode, clock + now, until - now, substep, kind, lag, lost, has, more, special,
                         p, on,
                     )  # fmt: skip
             now = until
@@ -113,18 +144,9 @@ def _run(  # type: ignore[no-untyped-def]
                 change = change if change > now else inf
                 has = asked(joint, clock + now, x, p, on)
                 if way == GLIDE:
-                    volts, at = voltage(duty, (duty, clock + now), x, 0, p, on), (0.0, 0.0, clock + now)
-                    force = torque(at, p, on) + load(at, p, on)
-            if changes:
-                j += 1
-                acts = act_times[j] + late if j < n else inf
-                if duties[j] != duties[j - 1] or modes[j] != mode:
-                    x[HELD] = 0.0
-                    duty, mode = command(duties[j], (p[PERIOD],), p, on), modes[j]
-                    if way == GLIDE:
-                        volts = voltage(duty, (duty, clock + now), x, 0, p, on)
-        for i in range(STATE_SIZE):
-            states[k - first, i] = x[i]
+                    volts, force = _held(duty, clock + now, x, p, on)
+        _written(at, x, states[k - first])
+    _written(at, x, x)
 
 
 _series, _flags = types.float64[::1], types.boolean[::1]
@@ -160,5 +182,7 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
         _run(STEP, RIGID, False, False, *of)
     elif spring:
         _run(STEP, SPRING, False, False, *of)
-    else:
+    elif lag > 0.0:
         _run(STEP, PLAY, False, False, *of)
+    else:
+        _run(STEP, PLAY, False, False, *of[:10], 0.0, *of[11:])

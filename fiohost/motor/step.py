@@ -8,7 +8,7 @@ whether the current lags. A step ends where a margin that is positive within the
 
 from __future__ import annotations
 
-from math import expm1, inf, isnan
+from math import inf, isnan
 
 from fiohost.motor.compiled import inlined, sign
 from fiohost.motor.electrics import loses, simple_winding, winding
@@ -29,7 +29,7 @@ from fiohost.motor.events import (
     locate,
     strain_of,
 )
-from fiohost.motor.flow import SAME_TIME_S, flow, flow_again
+from fiohost.motor.flow import SAME_TIME_S, flow, flow_again, mean_current
 from fiohost.motor.hooks import (
     NO_BRISTLE,
     barred,
@@ -41,25 +41,18 @@ from fiohost.motor.hooks import (
     torque,
 )
 from fiohost.motor.state import (
-    CONTACT,
-    CURRENT,
     DRIVE,
     HALF,
-    HELD,
-    LOAD_OMEGA,
-    LOAD_THETA,
     MIDDLE,
     MOST_STEPS,
-    OMEGA,
     STANDBY,
-    THETA,
     WHOLE,
 )
 
 
 @inlined
-def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, special, p, on):  # type: ignore[no-untyped-def]
-    """Carry the motor over a span of constant command. ``kind`` is what joins the load, ``lost`` what
+def advance(at, x, duty, mode, time, span, substep, kind, lag, lost, has, more, special, p, on):  # type: ignore[no-untyped-def]
+    """The motor, ``at`` a state, after a span of constant command. ``kind`` is what joins the load, ``lost`` what
     ``electrics.losses`` says of the winding, ``has`` what ``body.asked`` says.
 
     A caller says as constants what kind of motor it is, so that the rest is left out of its code: ``kind``, whether
@@ -74,24 +67,24 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
     if lost[2] and mode == DRIVE and duty == 0.0:
         mode = STANDBY  # no pulse at all leaves a bridge open that is open between pulses; a brake shorts it
     lossy = special and loses(mode, p, on)
+    theta, omega, load_theta, load_speed, contact, flowing, kept = at
     left, released = span, False
     for k in range(MOST_STEPS):
         if left <= SAME_TIME_S:
             break
-        theta, omega, amps, contact = x[THETA], x[OMEGA], x[CURRENT], x[CONTACT]
         joined = kind == RIGID or (kind == PLAY and contact != 0.0)
         sprung = kind == SPRING and (half_gap == 0.0 or contact != 0.0)
-        load_omega, load_at, twist = omega, theta, 0.0
+        amps, load_omega, load_at, twist = flowing, omega, theta, 0.0
         dt = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
         if kind != RIGID:
-            load_at = x[LOAD_THETA]
+            load_at = load_theta
             twist = theta - load_at
             if not joined:
-                load_omega = x[LOAD_OMEGA]
+                load_omega = load_speed
             if half_gap > 0.0 and contact == 0.0:
                 dt = min(dt, OPEN_GAP_S)
 
-        at, shift, free, way, settled = time, 0, -1, 0.0, x[HELD] != 0.0
+        when, shift, free, way, settled = time, 0, -1, 0.0, kept != 0.0
         direction, stuck, stuck_load, parts, hold, rest = sign(omega), False, False, False, 0.0, 0.0
         harder = 0.0
         turn, w, i, s, v, h, push = 0.0, omega, amps, twist, load_omega, 0.0, 0.0
@@ -102,20 +95,19 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
         for middle in range(2):
             if special:
                 push, volts, ohms, until, way, free = winding(
-                    w, i, at, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
+                    w, i, when, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
                 )
             else:
-                push, volts, ohms, free = simple_winding(w, i, at, duty, mode, per_gain, lag, lost, x, shift, p, on)
+                push, volts, ohms, free = simple_winding(w, i, when, duty, mode, per_gain, lag, lost, x, shift, p, on)
             if middle == 0 and free != 1:
                 amps, settled = push, free == 2
                 motion = (omega, amps, twist, load_omega)
             elif middle == 1 and free == 1:
                 # What depends on the current meets its mean: it may settle within a small part of the step.
-                tends = (volts - w * per_gain) / ohms
-                push = tends - (amps - tends) * expm1(-dt * ohms / lag) * lag / (dt * ohms)
+                push = mean_current(amps, volts - w * per_gain, ohms, lag, dt)
             q = theta + turn
-            rest = torque((q, w, at), p, on) if pulls else 0.0
-            beyond = load((q - s, v, at), p, on) if loads else 0.0
+            rest = torque((q, w, when), p, on) if pulls else 0.0
+            beyond = load((q - s, v, when), p, on) if loads else 0.0
             total = push + rest + (beyond if joined else 0.0)
             if sprung:
                 total -= strain_of(s, w - v, contact, bodies)
@@ -128,7 +120,7 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
                 slides = 1.0 if total > 0.0 else -1.0
             level = forward if slides > 0.0 else reverse
             if rubbing:
-                level = max(friction(0.0, (q, w, at, push, slides), x, shift, p, on), 0.0)
+                level = max(friction(0.0, (q, w, when, push, slides), x, shift, p, on), 0.0)
             if direction == 0.0:
                 direction = slides if not bristled else (1.0 if total > level * slack else -1.0)
             if middle == 0:
@@ -167,12 +159,12 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
             turn, w, i, s, v = end
             if w * direction < 0.0 and not (bristled and omega == 0.0):
                 w = 0.0
-            at = time + h
+            when = time + h
             if remembering:
                 carry(x, MIDDLE, turn / h, 0.5 * (push + i), h, p, on)
                 shift = MIDDLE
         if parts:
-            x[CONTACT] = 0.0
+            contact = 0.0
             continue
 
         if omega == 0.0 and not stuck and not bristled and end[1] * direction <= 0.0:
@@ -189,7 +181,7 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
         if remembering:
             carry(x, 0, turn / h if h > 0.0 else 0.0, push, h, p, on)
         theta += turn
-        load_theta = theta - s
+        beyond_at = theta - s
         released = False
         if happens:
             if event == REST:
@@ -197,16 +189,16 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
                 v = 0.0 if joined else v
             elif event == END:
                 came = sign(v)
-                load_theta, v = jumped(load_theta, v, p, on)
+                beyond_at, v = jumped(beyond_at, v, p, on)
                 if kind == PLAY and joined and contact != came:
                     contact = 0.0  # a motor that pushes it stops with it, one that held it back goes on
                 elif joined:
-                    theta, w = load_theta + s, v
+                    theta, w = beyond_at + s, v
             elif event == TOUCH:
                 contact = sign(s)
-                load_theta = theta - contact * half_gap
+                beyond_at = theta - contact * half_gap
                 together = (own * w + other * v) / mass
-                if ending and v == 0.0 and barred((load_theta, sign(together)), p, on):
+                if ending and v == 0.0 and barred((beyond_at, sign(together)), p, on):
                     together = 0.0
                 w = v = together
             elif event == PARTING:
@@ -219,11 +211,11 @@ def advance(x, duty, mode, time, span, substep, kind, lag, lost, has, more, spec
                 i = 0.0
             else:
                 i, settled = current[0], True
-        x[THETA], x[OMEGA], x[LOAD_OMEGA], x[CURRENT], x[CONTACT] = theta, w, v, i, contact
-        x[HELD] = 1.0 if settled else 0.0
+        omega, load_speed, flowing, kept = w, v, i, 1.0 if settled else 0.0
         if kind != RIGID:
-            x[LOAD_THETA] = load_theta
+            load_theta = beyond_at
         elif half_gap > 0.0:
-            x[LOAD_THETA] = min(max(x[LOAD_THETA], theta - half_gap), theta + half_gap)
+            load_theta = min(max(load_theta, theta - half_gap), theta + half_gap)
         left -= h
         time += h
+    return theta, omega, load_theta, load_speed, contact, flowing, kept
