@@ -18,7 +18,7 @@ from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
-from fiohost.discover.optimise import rough_fit, unstuck
+from fiohost.discover.optimise import rough_fit, thorough_fit, unstuck
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import Screen
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
@@ -114,6 +114,28 @@ def test_a_start_that_the_first_second_does_not_show_is_the_one_that_was_fitted(
     drifts = begun(record, truth, start)
     assert judge(drifts, truth).errors.free_run_rms > 10.0 * COUNT_NOISE
     assert judge(drifts, truth, fitted=start).errors.free_run_rms < 2.0 * COUNT_NOISE
+
+
+def test_a_gap_that_a_wrong_start_holds_fast_is_let_go(tmp_path: Path) -> None:
+    """A sum of sines that begins slowly, fitted from a start that suits its first seconds and a gap too wide."""
+    values = {
+        "linear.gain_deg_s_per_pct": 12.03,
+        "linear.tau_s": 0.0672,
+        "coulomb_friction.level_pct": 1.823,
+        "fast_decay.electrical_tau_s": 0.0013,
+        "backlash.gap_deg": 3.79,
+        "backlash.side": "encoder_before_gap",
+        "backlash.load_inertia_ratio": 0.482,
+    }
+    truth = Model.parse("linear+coulomb_friction+fast_decay+backlash").with_values(values)
+    logs = logs_of("sim", tmp_path, [Experiment.load(name) for name in ("staircase", "multisine")])
+    records = [begun(record_from_log(log), truth, Start(0.2, 0.0)) for log in logs]
+    wide = truth.with_values({"backlash.gap_deg": 4.33, "backlash.load_inertia_ratio": 0.45})
+    stuck = fit(wide, records, starts=[Start(0.2, 0.0), Start(0.2, 0.0, play=0.83, drift=1.59)], lash=False)
+    assert stuck.model.number("backlash.gap_deg") > 4.3
+    found = thorough_fit(stuck, effect("backlash"), records, far_rms=0.0)
+    assert found.model.number("backlash.gap_deg") == pytest.approx(3.79, abs=0.01)
+    assert found.cost < 0.95 * stuck.cost
 
 
 @pytest.mark.parametrize("follows", effect("friction_warm_up").parameter("follows").choices)

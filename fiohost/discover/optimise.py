@@ -140,10 +140,21 @@ def thorough_fit(direct: Fit, effect: Effect, records: Sequence[Record], far_rms
     """
     if direct.windows and effect.once:
         return direct  # its moment and what changed were looked for in all windows
-    best = _thoroughly(direct, effect, records, far_rms)
+    best = _from_rest(_thoroughly(direct, effect, records, far_rms), records)
     others = [_chosen_otherwise(best, effect, p, c, records) for p in effect.parameters for c in p.choices]
     near = [f for f in others if f is not best and f.cost < OPTIMISER.another_choice * best.cost]
     return min((best, *(_thoroughly(f, effect, records, far_rms) for f in near)), key=lambda f: f.cost)
+
+
+def _from_rest(found: Fit, records: Sequence[Record]) -> Fit:
+    """A fit of whole runs begun again with the load at rest around the motor: what suits the beginnings of the runs
+    at a wrong gap can hold that gap fast.
+    """
+    if found.windows or not Flat.of(found.model).gap:
+        return found
+    resting = [s._replace(play=0.0, drift=0.0) for s in found.starts]
+    other = fit(found.model, records, starts=resting, max_iterations=25, tolerance=1e-6)
+    return min(found, other, key=lambda f: f.cost)
 
 
 def finished(found: Fit, records: Sequence[Record]) -> Fit:

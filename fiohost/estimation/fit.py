@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -70,6 +71,17 @@ class _Point:
     p: np.ndarray
     starts: list[Start]
     begins: list[Begun] = field(default_factory=list)
+
+
+class _Solved(NamedTuple):
+    """Where a fit came to, with arrays as in ``Fit``, its squared error, and whether it converged."""
+
+    point: _Point
+    residuals: list[np.ndarray]
+    jacobians: list[np.ndarray]
+    nuisances: list[np.ndarray]
+    cost: float
+    converged: bool
 
 
 class _Problem:
@@ -147,9 +159,7 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-def _solve(
-    problem: _Problem, point: _Point, max_iterations: int, tolerance: float
-) -> tuple[_Point, list[np.ndarray], list[np.ndarray], list[np.ndarray], float, bool]:
+def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: float) -> _Solved:
     residuals = problem.residuals(point)
     cost = _sum_of_squares(residuals)
     damping = 1e-4
@@ -229,7 +239,7 @@ def _solve(
             exactly = True
     # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
-    return point, residuals, projected, nuisances, cost, converged
+    return _Solved(point, residuals, projected, nuisances, cost, converged)
 
 
 def _as_model(model: Model, names: Sequence[str], p: np.ndarray) -> Model:
@@ -268,11 +278,14 @@ def fit(
     point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if lash and not windows else 0):
-        point = solved[0]
+        point = solved.point
         play = taken_up_play(problem.flat(point.p), records, point.starts)
         if play == point.starts:
             break
-        solved = _solve(problem, _Point(point.p, play), max_iterations, tolerance)
+        other = _solve(problem, _Point(point.p, play), max_iterations, tolerance)
+        if other.cost >= solved.cost:
+            break  # what suits the beginnings of the runs best does not suit the whole of them
+        solved = other
     point, residuals, jacobians, nuisances, cost, converged = solved
     return Fit(
         model=_as_model(model, problem.names, point.p),

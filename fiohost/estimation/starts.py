@@ -90,19 +90,21 @@ def first_starts(flat: Flat, records: Sequence[Record]) -> list[Start]:
 
 
 def taken_up_play(flat: Flat, records: Sequence[Record], starts: Sequence[Start]) -> list[Start]:
-    """The starts with the motor where in its gap suits the beginning of each record best."""
+    """The starts with the motor where in its gap suits the beginning of each record best, if the whole of it too."""
     if not flat.gap:
         return list(starts)
     found = []
     for record, was in zip(records, starts, strict=True):
         begins = min(len(record), round(LASH_SHOWS_S / record.sample_time_s))
 
-        def left(play: float, drift: float, record: Record = record, was: Start = was, n: int = begins) -> float:
+        def left(play: float, drift: float, n: int = begins, record: Record = record, was: Start = was) -> float:
             residual = record.y[:n] - free_output(record, flat, was._replace(play=play, drift=drift), n)
-            return float(np.sum((residual - (residual.mean() if record.kind == ANGLE else 0.0)) ** 2))
+            weights = record.weights[:n] ** 2
+            offset = float(weights @ residual / weights.sum()) if record.kind == ANGLE else 0.0
+            return float(weights @ (residual - offset) ** 2)
 
         play, drift = best_lash(flat, left)
-        pays = left(play, drift) < left(was.play, was.drift) * (1.0 - 1e-4)
+        pays = all(left(play, drift, n) < left(was.play, was.drift, n) * (1.0 - 1e-4) for n in (begins, len(record)))
         found.append(was._replace(play=play, drift=drift) if pays else was)
     return found
 
