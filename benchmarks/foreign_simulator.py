@@ -1,7 +1,8 @@
 """A third simulator of a motor bench, of other habits than the board's and the fit's: one plain fixed step, Euler's,
 with textbook equations as one would write them down. Shares nothing with either, and is as exact as such a step is.
 
-Everything is in percent of duty and degrees. Friction stops a shaft where its speed would change sign.
+Everything is in percent of duty and degrees. Friction stops a shaft where its speed would change sign. Kinds that begin
+with ``pwm`` and are no steps have a winding that sees every pulse of the bridge, in steps of 1 us.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numba import njit
 
 STEP_S, TICK_S = 20e-6, 0.005
+PULSE_STEP_S, SUPPLY = 1e-6, 100.0
 
 # Which equation: the place of its name is the number that the kernel knows it by.
 KINDS = (
@@ -22,21 +24,26 @@ KINDS = (
     "constant_load", "gravity", "cogging_with_overtone", "friction_by_angle", "play", "springy_gap", "springy_shaft",
     "springy_stop", "dead_zone", "minimum_pulse", "delay", "inductance", "supply_sag", "saturation", "duty_curve",
     "weaker_backward", "pwm_steps", "change_in_every_log", "change_once", "friction_falls_with_time", "heating",
-    "eccentric_disc", "current_limit", "bridge_drop", "supply_drift", "friction_by_load",
+    "eccentric_disc", "current_limit", "bridge_drop", "supply_drift", "friction_by_load", "pwm_current_limit",
+    "pwm_fast_decay", "pwm_bridge_drop", "pwm_supply_sag", "pwm_heating",
 )  # fmt: skip
 (NOTHING, STATIC, STRIBECK, LUGRE, DAHL, DRAG, ASYMMETRIC, LOAD, GRAVITY, COGGING, BY_ANGLE, PLAY, GAP, SHAFT, STOP,
  ZONE, PULSE, DELAY, LAG, SAG, SATURATION, CURVE, BACKWARD, STEPS, EVERY, ONCE, COOLS, HEATING, DISC, LIMIT, DROP,
- DRIFT, BY_LOAD) = range(len(KINDS))  # fmt: skip
+ DRIFT, BY_LOAD, PWM_LIMIT, PWM_DECAY, PWM_DROP, PWM_SAG, PWM_HEATING) = range(len(KINDS))  # fmt: skip
+FIRST_SWITCHED = PWM_LIMIT
 
 
 @njit(cache=True)
 def simulate(  # type: ignore[no-untyped-def]
-    kind, q, gain, tau, friction, asked, coast, kp, lift, quantum, place, angle, clock
+    kind, q, gain, tau, friction, asked, coast, kp, lift, quantum, place, angle, clock, pwm_s
 ):
     """Counts (n), duties (n) and the last angle of a run from rest; ``asked`` (n) are duties, or angles under P control
     of ``kp`` above zero, lifted over friction by ``lift``. A duty acts one tick after the reading that it answers.
+    ``pwm_s`` is the period of the pulses.
     """
-    ticks, steps, h = len(asked), round(TICK_S / STEP_S), STEP_S
+    switched = kind >= FIRST_SWITCHED
+    h = PULSE_STEP_S if switched else STEP_S
+    ticks, steps, per_pulse = len(asked), round(TICK_S / h), round(pwm_s / h)
     inertia = tau / gain
     counts, duties = np.zeros(ticks, np.int64), np.zeros(ticks)
     speed = current = bristle = heat = 0.0
@@ -86,6 +93,12 @@ def simulate(  # type: ignore[no-untyped-def]
                 push = min(max(push, -q[0]), q[0])
             elif kind == DROP:
                 push = math.copysign(max(abs(push) - q[0], 0.0), push)
+            elif switched:
+                on = min(max(abs(u) / 100.0 * per_pulse - s % per_pulse, 0.0), 1.0)
+                current = _switched(kind, q, current, u, loose, on, speed / gain, heat)
+                push = current
+                if kind == PWM_HEATING:
+                    heat += h / q[2] * ((current / 100.0) ** 2 - heat)
             mass = inertia
             if (kind == EVERY and time > q[1]) or (kind == ONCE and clock + time > q[1]):
                 mass *= q[0]
@@ -133,6 +146,31 @@ def simulate(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _switched(kind, q, current, duty, loose, on, emf, heat):  # type: ignore[no-untyped-def]
+    """The winding's current after one step, in a pulse for a share ``on`` of it; its L/R is the last of ``q``."""
+    lag, ohms, lost, source = q[3], 1.0, 0.0, 0.0
+    if kind == PWM_HEATING:
+        ohms += q[0] * heat
+    elif kind == PWM_DROP:
+        lost = q[0]
+    if loose:
+        lost += SUPPLY
+    else:
+        source = math.copysign(on * SUPPLY, duty)
+        if kind == PWM_SAG:
+            source -= on * q[0] * current
+        elif kind == PWM_DECAY and duty != 0.0:
+            lost += (1.0 - on) * SUPPLY
+    if current == 0.0:
+        push = math.copysign(max(abs(source - emf) - lost, 0.0), source - emf)
+        return PULSE_STEP_S / lag * push
+    after = current + PULSE_STEP_S / lag * (source - emf - math.copysign(lost, current) - ohms * current)
+    if lost > 0.0 and after * current < 0.0:
+        return 0.0
+    return min(max(after, -q[0]), q[0]) if kind == PWM_LIMIT else after
+
+
+@njit(cache=True)
 def _slid(speed, push, slides, holds, step):  # type: ignore[no-untyped-def]
     """The speed after one step of dry friction."""
     if speed == 0.0:
@@ -144,12 +182,13 @@ def _slid(speed, push, slides, holds, step):  # type: ignore[no-untyped-def]
 @dataclass(frozen=True)
 class Kind:
     """How an equation's parameters are drawn for a motor of some gain, lag and friction; the names that are right for
-    it, none where nothing is missing, and whether the library has this very equation.
+    it, none where nothing is missing, whether the library has this very equation, and what has to be named beside.
     """
 
     draw: Callable[[random.Random, float, float, float], tuple[float, ...]]
     right: tuple[str, ...] = ()
     exact: bool = True
+    beside: tuple[str, ...] = ()
 
 
 def _spring(r: random.Random, gain: float, tau: float, low_hz: float, high_hz: float) -> tuple[float, float, float]:
@@ -164,10 +203,16 @@ def _unequal(r: random.Random, friction: float) -> tuple[float, float]:
     return friction * (1.0 + part), friction * (1.0 - part)
 
 
+def _lag(r: random.Random) -> float:
+    """L/R of a winding that shows at readings of 5 ms."""
+    return r.uniform(0.0015, 0.006)
+
+
 def _turn(r: random.Random) -> float:
     return r.uniform(0.0, 2.0 * math.pi)
 
 
+_WINDING = ("armature_inductance",)
 _CONSTANT = ("constant_load", "asymmetric_coulomb_friction")
 _ANGLE = ("cogging_torque", "gravity_load")
 _ZONE = ("input_deadband", "asymmetric_deadband", "pwm_dead_time")
@@ -221,6 +266,21 @@ DRAWS: dict[str, Kind] = {
     "bridge_drop": Kind(lambda r, k, t, c: (r.uniform(1.0, 5.0),), ("bridge_voltage_drop",)),
     "supply_drift": Kind(lambda r, k, t, c: (r.choice((-1.0, 1.0)) * r.uniform(3e-4, 1.5e-3),), ("supply_drift",)),
     "friction_by_load": Kind(lambda r, k, t, c: (r.uniform(0.05, 0.2),), ("load_dependent_friction",)),
+    "pwm_current_limit": Kind(
+        lambda r, k, t, c: (r.uniform(40.0, 80.0), 0.0, 0.0, _lag(r)), ("current_limit",), beside=_WINDING
+    ),
+    "pwm_fast_decay": Kind(lambda r, k, t, c: (0.0, 0.0, 0.0, _lag(r)), ("fast_decay",)),
+    "pwm_bridge_drop": Kind(
+        lambda r, k, t, c: (r.uniform(1.0, 5.0), 0.0, 0.0, _lag(r)), ("bridge_voltage_drop",), beside=_WINDING
+    ),
+    "pwm_supply_sag": Kind(
+        lambda r, k, t, c: (r.uniform(0.05, 0.3), 0.0, 0.0, _lag(r)), ("supply_sag",), beside=_WINDING
+    ),
+    "pwm_heating": Kind(
+        lambda r, k, t, c: (r.uniform(0.3, 2.0), 0.0, r.uniform(5.0, 20.0), _lag(r)),
+        ("armature_heating",),
+        beside=_WINDING,
+    ),
 }
 
 
