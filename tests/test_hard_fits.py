@@ -129,9 +129,10 @@ def test_a_gap_that_a_wrong_start_holds_fast_is_let_go(tmp_path: Path) -> None:
     }
     truth = Model.parse("linear+coulomb_friction+fast_decay+backlash").with_values(values)
     logs = logs_of("sim", tmp_path, [Experiment.load(name) for name in ("staircase", "multisine")])
-    records = [begun(record_from_log(log), truth, Start(0.2, 0.0)) for log in logs]
+    starts = (Start(0.22, 0.0), Start(0.29, 0.0))
+    records = [begun(record_from_log(log), truth, start) for log, start in zip(logs, starts, strict=True)]
     wide = truth.with_values({"backlash.gap_deg": 4.33, "backlash.load_inertia_ratio": 0.45})
-    stuck = fit(wide, records, starts=[Start(0.2, 0.0), Start(0.2, 0.0, play=0.83, drift=1.59)], lash=False)
+    stuck = fit(wide, records, starts=[starts[0], starts[1]._replace(play=0.83, drift=1.59)], lash=False)
     assert stuck.model.number("backlash.gap_deg") > 4.3
     found = thorough_fit(stuck, effect("backlash"), records, far_rms=0.0)
     assert found.model.number("backlash.gap_deg") == pytest.approx(3.79, abs=0.01)
