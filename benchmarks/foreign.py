@@ -36,7 +36,7 @@ def logs(kind: str, seed: int, folder: Path) -> tuple[dict[str, Any], list[Path]
     values = DRAWS[kind].draw(rng, gain, tau, friction)
     truth = {"gain": gain, "tau": tau, "friction": friction, "values": values, "counts_per_rev": counts_per_rev}
     quantum, angle, clock = 360.0 / counts_per_rev, rng.uniform(0.0, 360.0), 0.0
-    pwm_hz = rng.choice((1000, 5000, 20000))
+    pwm_hz = rng.choice((2000, 5000, 20000))
     truth |= {"pwm_hz": pwm_hz}
     paths = []
     for experiment in [*(Experiment.load(name) for name in SUITE), fresh(seed)]:

@@ -78,8 +78,10 @@ class Beside(Protocol):
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
         """The effects that may be added, and those of which this evidence says nothing."""
 
-    def refitted(self, offered: Sequence[Effect], say: Progress) -> list[tuple[Effect, State]]:
-        """The best of them, each at its minimum."""
+    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
+        """The best of them, each at its minimum; ``anew`` lets those begin from values of their own that come nowhere
+        near from these.
+        """
 
     def passed_over(self) -> list[Candidate]:
         """How those did that were not refitted to the end."""

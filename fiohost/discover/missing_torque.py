@@ -97,6 +97,29 @@ def _smooth(e, dt, gain, tau, noise, walk, d, work):  # type: ignore[no-untyped-
         m01, m02, m11, m12, m22 = w01, w02, z11, z12, z22
 
 
+@compiled
+def _shifted(torque, edges, bins, counts, shifts, signs, sums, squares):  # type: ignore[no-untyped-def]
+    """For each of some shifts (m, records) in time, with ``signs`` (m, records): a torque (n) summed up in the bins
+    (n, v) of some variables, and of these sums the squares over the ``counts`` (v, b), added up to ``squares`` (m, v).
+    """
+    for i in range(shifts.shape[0]):
+        sums[:] = 0.0
+        for r in range(shifts.shape[1]):
+            begin, end = edges[r], edges[r + 1]
+            at = end - shifts[i, r]
+            for k in range(begin, end):
+                at = begin if at == end else at
+                value = signs[i, r] * torque[at]
+                at += 1
+                for v in range(bins.shape[1]):
+                    sums[v, bins[k, v]] += value
+        for v in range(bins.shape[1]):
+            squares[i, v] = 0.0
+            for b in range(counts.shape[1]):
+                if counts[v, b] > 0.0:
+                    squares[i, v] += sums[v, b] ** 2 / counts[v, b]
+
+
 def missing_torque(record: Record, model: Model, residual: np.ndarray, walk_pct: float = 20.0) -> np.ndarray:
     """Torque (n) in percent of duty that the model lacks, smoothed, from the free-run residual (n) of a record.
 
@@ -222,15 +245,22 @@ class _Torque:
         bins = {n: _bins(v, n) + (own_bins if n == "angle" else 0) for n, v in values.items()}
         return cls(np.concatenate(torques), edges, values, bins)
 
-    def share(self, name: str, torque: np.ndarray | None = None) -> float:
-        """The share of the torque's variance about zero, or of another's (n), that its mean in bins explains."""
-        torque = self.torque if torque is None else torque
-        return _explained(torque, self.bins[name], float(torque @ torque))
+    def share(self, name: str) -> float:
+        """The share of the torque's variance about zero that its mean in bins explains."""
+        return _explained(self.torque, self.bins[name], float(self.torque @ self.torque))
 
-    def shifted(self, rng: np.random.Generator) -> np.ndarray:
-        """The torque (n), that of each record at another time and with either sign."""
-        parts = np.split(self.torque, self.edges[1:-1])
-        return np.concatenate([np.roll(p, rng.integers(len(p))) * rng.choice((-1.0, 1.0)) for p in parts])
+    def by_chance(self, rng: np.random.Generator) -> np.ndarray:
+        """The shares (shifts, variables) of the torque of each record at another time and with either sign."""
+        bins = np.column_stack(list(self.bins.values()))
+        most = int(bins.max()) + 1
+        counts = np.array([np.bincount(b, minlength=most) for b in bins.T], dtype=float)
+        spans = np.diff(self.edges)
+        shifts = rng.integers(spans, size=(TORQUE.shifts, len(spans)))
+        signs = rng.choice((-1.0, 1.0), size=shifts.shape)
+        squares = np.empty((TORQUE.shifts, bins.shape[1]))
+        _shifted(self.torque, self.edges, bins, counts, shifts, signs, np.empty_like(counts), squares)
+        weight = float(self.torque @ self.torque)
+        return squares / weight if weight > 0.0 else np.zeros_like(squares)
 
 
 def dependences(
@@ -243,8 +273,7 @@ def dependences(
     whose zero of the angle is unknown has bins of the angle for itself; the curve is that of the bench's zero.
     """
     found, missing = [], _Torque.of(records, model, judgements)
-    for name, bins in missing.bins.items():
-        chance = [missing.share(name, missing.shifted(rng)) for _ in range(TORQUE.shifts)]
+    for (name, bins), chance in zip(missing.bins.items(), missing.by_chance(rng).T, strict=True):
         inside = [bins == i for i in range(min(bins.max() + 1, TORQUE.bins))]
         centres, means = (
             np.array([x[there].mean() if there.any() else np.nan for there in inside])

@@ -76,7 +76,7 @@ class LogsBeside:
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
         return candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span), []
 
-    def refitted(self, offered: Sequence[Effect], say: Progress) -> list[tuple[Effect, State]]:
+    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
         # The null asks for the directions of the first screen.
         self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
         s, floor = self.logs.settings, self.logs.floor_rms(self.state)
@@ -85,24 +85,24 @@ class LogsBeside:
         rough = each(self.rough, jobs)
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
             say("whole runs are far from the floor with every effect")
-            if not self.logs.anew:
+            if not (anew and self.logs.anew):
                 return []
             say("beginning anew with each of them")
             first = self.screens[0]
-            anew = fits_anew(first.fit, self.ranked[0], first.records, s.refitted)
-            jobs = [Job(self.ranked[0][i], first.fit, first.records) for i, _ in anew]
-            rough = [found for _, found in anew]
+            others = fits_anew(first.fit, self.ranked[0], first.records, s.refitted)
+            jobs = [Job(self.ranked[0][i], first.fit, first.records) for i, _ in others]
+            rough = [found for _, found in others]
             left = min(rough, key=lambda f: f.cost)
             if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
                 return []  # else it is most of what is missing
         best = self.carried(jobs, rough, floor)
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
-        if not self.logs.exact and not any(self.leaves_noise(state, names) for state, names in states):
+        if anew and not self.logs.exact and not any(self.leaves_noise(state, names) for state, names in states):
             say("beside every effect more than noise is left: beginning anew with each of them")
             plain = self.screens[-1]
-            anew = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
-            jobs = [Job(self.ranked[-1][i], plain.fit, plain.records) for i, _ in anew]
-            for name, found in self.carried(jobs, [found for _, found in anew], floor).items():
+            others = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
+            jobs = [Job(self.ranked[-1][i], plain.fit, plain.records) for i, _ in others]
+            for name, found in self.carried(jobs, [found for _, found in others], floor).items():
                 if name not in best or found[1].deviance < best[name][1].deviance:
                     best[name] = found
         self.taken = set(best)

@@ -152,7 +152,8 @@ class Search(Generic[J]):
     def exchanged(self, best: Node, *, last: bool = False) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
         were missing. The ``last`` too, where other evidence chose it. Beside what an exact fit does not follow nothing
-        can be told by it, nor by windows what whole runs are to be asked.
+        can be told by it, nor by windows what whole runs are to be asked. No other one begins anew: it would have to do
+        as well as one that is there.
         """
         if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
@@ -164,7 +165,7 @@ class Search(Generic[J]):
             less = self.evidence.without(best.state, name)
             rest = Node(less, tuple(a for a in best.added if a is not earlier))
             told = self.told
-            first = self.best_first([*self.expand(rest), best])[0]
+            first = self.best_first([*self.expand(rest, anew=False), best])[0]
             self.told = told
             itself = first is best or first.added[-1].child.name == name
             if not itself and (self.explains(first) or not self.explains(best)):
@@ -196,8 +197,10 @@ class Search(Generic[J]):
         """Whether what a node leaves is noise."""
         return not node.lacks and self.evidence.white(node.state)
 
-    def expand(self, node: Node) -> Iterator[Node]:
-        """The nodes with one more effect that the data speak for, the best first; each is finished when asked for."""
+    def expand(self, node: Node, *, anew: bool = True) -> Iterator[Node]:
+        """The nodes with one more effect that the data speak for, the best first; each is finished when asked for.
+        Candidates that come nowhere near may begin ``anew``.
+        """
         beside = self.evidence.beside(node.state)
         offered, self.told = beside.offered(self.library)
         if node.added and not self.evidence.exact:  # what another effect leaves can always be blamed on an event
@@ -205,7 +208,7 @@ class Search(Generic[J]):
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
         if not offered:
             return
-        found = beside.refitted(offered, self.say)
+        found = beside.refitted(offered, self.say, anew=anew)
         self.told += beside.passed_over()
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)

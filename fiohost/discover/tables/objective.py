@@ -169,7 +169,7 @@ class TablesBeside:
                 able.append(item)
         return able, unable
 
-    def refitted(self, offered: Sequence[Effect], say: Progress) -> list[tuple[Effect, State]]:
+    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
         say(f"refitting {len(offered)} of them")
         rows = self.readings.rows
         starts = each(lambda item: held(rows, self.base, item), offered)
