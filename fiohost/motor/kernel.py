@@ -15,7 +15,7 @@ from math import inf
 
 from numba import types
 
-from fiohost.motor.body import asked, glide, is_steady, slide
+from fiohost.motor.body import asked, glide, is_steady
 from fiohost.motor.compiled import inlined, part, shared
 from fiohost.motor.electrics import is_simple, losses, winding_lag
 from fiohost.motor.events import PLAY, RIGID, SPRING
@@ -49,8 +49,8 @@ from fiohost.motor.state import (
 )
 from fiohost.motor.step import advance
 
-# How a motor steps: over a whole hold, as one body, or by any step.
-GLIDE, SLIDE, STEP = range(3)
+# How a motor steps: over a whole hold, or from event to event.
+GLIDE, STEP = range(2)
 
 
 @inlined
@@ -131,8 +131,6 @@ def _run(  # type: ignore[no-untyped-def]
             if until - now > SAME_TIME_S:  # rounding alone is no span
                 if way == GLIDE:
                     at = glide(at, x, volts, mode, until - now, force, has)
-                elif way == SLIDE:
-                    at = slide(at, x, duty, mode, clock + now, until - now, substep, lost, has, p, on)
                 else:
                     at = advance(
                         at, x, duty, mode, clock + now, until - now, substep, kind, lag, lost, has, more, special,
@@ -165,24 +163,30 @@ def simulate(times, act_times, duties, modes, clock, first, last, state, substep
     step.
     """
     joint, lag, lost = joint_of(p, on), winding_lag(p, on), losses(p, on)
-    more = remembers(on) or ends(on) or bristles(on) or lost[0] > 0.0 or lost[1] < inf or lost[2] or lost[3] or lost[4]
+    keeps = remembers(on) or ends(on) or bristles(on)
+    varies = lost[3] or lost[4]
+    more = keeps or varies or lost[0] > 0.0 or lost[1] < inf or lost[2]
     begin = _acting(act_times, times[first] - delay((), p, on))
     simple = is_simple(lag, lost, modes[begin:], act_times[begin:], times[last - 1])
     rigid, spring = joint[0] == RIGID, joint[0] == SPRING
-    of = times, act_times, duties, modes, clock, first, last, state, substep, joint, lag, lost, p, on, states
+    run = times, act_times, duties, modes, clock, first, last, state, substep, joint
+    of = lost, p, on, states
+    # Each branch is code of its own: what is a constant in it is left out of its steps.
     if rigid and lag == 0.0 and is_steady(substep, on):
-        _run(GLIDE, RIGID, False, False, *of)
+        _run(GLIDE, RIGID, False, False, *run, 0.0, *of)
+    elif rigid and not simple and not (keeps or varies):
+        _run(STEP, RIGID, False, True, *run, lag, *of)
+    elif not simple or (more and not (rigid and lag == 0.0)):
+        _run(STEP, joint[0], True, True, *run, lag, *of)
+    elif rigid and more:
+        _run(STEP, RIGID, True, False, *run, 0.0, *of)
     elif rigid and lag == 0.0:
-        _run(SLIDE, RIGID, False, False, *of)
-    elif rigid and not simple and not (remembers(on) or ends(on) or bristles(on) or lost[3] or lost[4]):
-        _run(STEP, RIGID, False, True, *of)
-    elif more or not simple:
-        _run(STEP, joint[0], True, True, *of)
+        _run(STEP, RIGID, False, False, *run, 0.0, *of)
     elif rigid:
-        _run(STEP, RIGID, False, False, *of)
+        _run(STEP, RIGID, False, False, *run, lag, *of)
     elif spring:
-        _run(STEP, SPRING, False, False, *of)
-    elif lag > 0.0:
-        _run(STEP, PLAY, False, False, *of)
+        _run(STEP, SPRING, False, False, *run, lag, *of)
+    elif lag == 0.0:
+        _run(STEP, PLAY, False, False, *run, 0.0, *of)
     else:
-        _run(STEP, PLAY, False, False, *of[:10], 0.0, *of[11:])
+        _run(STEP, PLAY, False, False, *run, lag, *of)
