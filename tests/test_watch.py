@@ -100,6 +100,33 @@ def test_an_alarm_is_over_when_the_motor_is_as_it_was(learned: Learned) -> None:
     assert found[1].causes[0].size == pytest.approx(4.0, rel=0.2)
 
 
+def test_what_is_normal_is_found_far_from_the_model() -> None:
+    """A motor with less gain and more friction than its model says, whose first steps lead to a load instead."""
+    stands = varied(MOTOR, np.array([-0.11, 0.1, 0.0]))
+    record, rng = run_of(LEARN_S, 27), np.random.default_rng(27)
+    run = replace(record, y=drifting_run(record, [stands], Start(0.0, 0.0), NOISE, rng))
+    model = learn(run, MOTOR, QUICK).model
+    assert model.number("linear.gain_deg_s_per_pct") == pytest.approx(
+        stands.number("linear.gain_deg_s_per_pct"), rel=0.01
+    )
+    assert model.number("coulomb_friction.level_pct") == pytest.approx(3.3, rel=0.05)
+    assert abs(model.number("constant_load.level_pct")) < 1.0
+
+
+def test_what_the_learned_stretch_hardly_showed_takes_more_to_alarm(learned: Learned) -> None:
+    """A lag that gets longer is as sure as what was learned of it; were nothing known of that, it would not count."""
+    windows = learned.evidence(run_of(40, 6, {"linear.tau_s": 1.3}))
+    known, unknown = learned.detector(QUICK), learned.detector(QUICK)
+    unknown.normal = replace(learned.normal, unsure=1e6 * learned.normal.unsure)
+    known.normal = replace(learned.normal, unsure=0.0 * learned.normal.unsure)
+    for detector in (known, unknown):
+        for window in windows:
+            detector.follow(window)
+    sure, unsure = known.looks().squares, unknown.looks().squares
+    assert np.all(unsure <= sure)
+    assert unsure[:, 3].max() < 1e-2 * sure[:, 3].max()
+
+
 def test_too_short_a_stretch_teaches_nothing() -> None:
     with pytest.raises(DataError, match="too few to learn from"):
         learn(run_of(5, 1), MOTOR, QUICK)

@@ -37,7 +37,8 @@ DRIFT_NAMES = (
 class Normal:
     """What is normal: the model's drifting three (3) and their covariance (3, 3), a window's power by its degrees of
     freedom, and the spread (candidates + 1, lengths) of the statistics against their distribution. ``lacks`` (k) is
-    what the model lacks of the motor even then, in the columns' units (none of the three that drift).
+    what the model lacks of the motor even then, in the columns' units (none of the three that drift), ``unsure``
+    (k - 3, k - 3) the covariance of it, the drift apart.
     """
 
     at: np.ndarray
@@ -45,6 +46,7 @@ class Normal:
     power: float
     spread: np.ndarray = field(repr=False)
     lacks: np.ndarray = field(repr=False)
+    unsure: np.ndarray = field(repr=False)
 
     def corrected(self, window: Window) -> Window:
         """A window as a model that lacks nothing of the normal motor would leave it, to first order."""
@@ -231,6 +233,8 @@ class Detector:
         path = at[:, None, :] + drift[:, None, :DRIFTS] + along[:, :, None] * drift[:, None, DRIFTS:]
         parts = own[None, :, c] - np.einsum("wij,lwj->lwi", gram[:, c, d], path)
         parts *= inside[:, :, None]
+        # What the model lacked before is known no better than it was learned, and is seen again in each window.
+        again = np.einsum("lij,jk,lkm->lim", information, self.normal.unsure, information)
         squares = np.zeros((len(lengths), len(self.candidates)))
         for i, s in enumerate(self._slices):
             block = information[:, s, s]
@@ -239,7 +243,9 @@ class Detector:
             ridge = np.where(seen, 1e-9 * np.trace(block, axis1=1, axis2=2), 1.0)[:, None, None] * np.eye(size)
             estimate = np.linalg.solve(block + ridge, score[:, s, None])[:, :, 0]
             by_window = np.einsum("lwi,li->lw", parts[:, :, s], estimate)
-            squares[:, i] = np.where(seen, np.maximum(by_window.sum(axis=1) - by_window.max(axis=1), 0.0), 0.0)
+            wider = 1.0 + np.trace(np.linalg.solve(block + ridge, again[:, s, s]), axis1=1, axis2=2) / size
+            left = np.maximum(by_window.sum(axis=1) - by_window.max(axis=1), 0.0)
+            squares[:, i] = np.where(seen, left / wider, 0.0)
         freedom = np.array([float(p.window.freedom) for p in past])
         power = np.array([p.power for p in past])
         surplus = inside @ (weights * power - freedom)

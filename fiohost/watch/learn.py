@@ -22,8 +22,9 @@ from fiohost.watch.evidence import DRIFTS, Whitening, Window, begin_of, evidence
 from fiohost.watch.replicas import normal_run
 from fiohost.watch.settings import SETTINGS, WatchSettings
 
-# Gain, friction and load are found around the model anew until they move no more.
-ROUNDS = 3
+# Gain, friction and load are found around the model anew until they move by no more than this share of how far it may
+# stand from the motor, so often at most.
+MOVES, ROUNDS = 0.02, 12
 
 
 @dataclass(frozen=True)
@@ -65,23 +66,25 @@ def learn(
     whitening = Whitening(motor_of(record, model), noise)
     unit_spread = np.ones((len(changes) + 1, len(settings.lengths)))
     windows = evidence(record, model, np.zeros(DRIFTS), changes, whitening)
-    lacks = _lacks(windows, changes)
-    plain = Normal(np.zeros(DRIFTS), np.eye(DRIFTS), 1.0, unit_spread, lacks)
+    lacks, unsure = _lacks(windows, changes)
+    plain = Normal(np.zeros(DRIFTS), np.eye(DRIFTS), 1.0, unit_spread, lacks, np.zeros_like(unsure))
     power = max(_power([plain.corrected(w) for w in windows]), 1.0)
     start = replace(plain, covariance=_posterior(windows, power, settings), power=power)
-    spread = _spread(record, model, noise, changes, whitening, start, settings, seed)
-    # What the model lacks is known no better than the windows that it was learned from tell.
-    spread = spread * settings.tail_widening * (1.0 + np.array(settings.lengths) / len(windows))
-    return Learned(model, changes, noise, whitening, replace(start, spread=spread))
+    spread = _spread(record, model, noise, changes, whitening, start, settings, seed) * settings.tail_widening
+    return Learned(model, changes, noise, whitening, replace(start, spread=spread, unsure=unsure * power))
 
 
-def _lacks(windows: Sequence[Window], changes: Sequence[Candidate]) -> np.ndarray:
-    """What the model lacks in normal running (k): all columns at once, each held to its usual size, the drift free."""
+def _lacks(windows: Sequence[Window], changes: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    """What the model lacks in normal running (k): all columns at once, each held to its usual size, the drift free, so
+    that nothing is lacked of what drifts; and the covariance of all but the drift (k - 3, k - 3), for windows of unit
+    power.
+    """
     usual = np.array([1e6] * DRIFTS + [c.usual for c in changes for _ in c.columns])
+    usual[DRIFTS : 2 * DRIFTS] *= 1e-6  # gain, friction and load again, as what may jump
     information = sum(w.information for w in windows) + np.diag(1.0 / usual**2)
     found = np.linalg.solve(information, sum(w.score for w in windows))
     found[:DRIFTS] = 0.0
-    return np.asarray(found)
+    return np.asarray(found), np.linalg.inv(information)[DRIFTS:, DRIFTS:]
 
 
 def _as_it_stands(record: Record, model: Model, settings: WatchSettings) -> tuple[Model, Noise]:
@@ -95,8 +98,10 @@ def _as_it_stands(record: Record, model: Model, settings: WatchSettings) -> tupl
         power = max(_power(windows), 1.0)
         information = sum(w.information for w in windows) / power + _prior(settings)
         shift = np.linalg.solve(information, sum(w.score for w in windows) / power)
-        most = 2.0 * np.array(settings.begins_within)
-        model = varied(model, np.clip(shift, -most, most))
+        within = np.array(settings.begins_within)
+        model = varied(model, np.clip(shift, -2.0 * within, 2.0 * within))
+        if np.all(np.abs(shift) <= MOVES * within):
+            break
     return model, noise
 
 
