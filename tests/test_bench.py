@@ -10,6 +10,8 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,8 @@ from short_runs import plant_file
 
 from fiohost.bench.connect import connect
 from fiohost.bench.experiment import ControlSettings, Experiment
+from fiohost.bench.host import HostWatch
+from fiohost.bench.line import Line
 from fiohost.bench.log import BRAKE, DRIVE, Log
 from fiohost.bench.loop import Tick
 from fiohost.bench.program import Answer
@@ -47,6 +51,27 @@ SQUARE = Experiment(
 
 
 # ---- what is recorded ----------------------------------------------------------------------------------------------
+
+
+class HeldUp(HostWatch):
+    """A computer that stands still for 5 s of the board's steps before a program's first reading."""
+
+    def __init__(self, line: Line) -> None:
+        super().__init__(line)
+        self.line = line
+
+    @contextmanager
+    def alarmed(self) -> Iterator[None]:
+        self.line.steps += 1000
+        yield
+
+
+def test_a_program_begins_with_its_first_reading_however_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fiohost.bench.turns.HostWatch", HeldUp)
+    with connect("sim") as bench:
+        log = bench.run(STAIRS)
+    assert len(log) == 600
+    assert log.time_s[0] == 0.0
 
 
 def test_a_run_is_logged_tick_by_tick_with_what_the_contract_asks_for(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from boards import rows_of, until
 from lines import PtyBoard, patient
-from test_safe_stops import LIMIT_S, MAIN, ROOT, STEP_40, Host
+from test_safe_stops import FORWARD, LIMIT_S, MAIN, ROOT, STEP_40, Host
 
 from fiohost.bench.guardian import Guardian
 from fiohost.bench.log import Log
@@ -80,6 +80,15 @@ def test_a_controller_that_never_comes_back_is_ended(board: PtyBoard, tmp_path: 
     assert "a controller that takes too long" in host.said
     log = Log.read(host.log)
     assert log.metadata["ending"].startswith("stopped: HostError")
+
+
+def test_a_controller_whose_first_step_never_comes_back_is_ended(board: PtyBoard, tmp_path: Path) -> None:
+    code = in_step("while True: pass").replace("k >= 1", "k >= 0")
+    host = Host(board, tmp_path, *RUN, gap_s=GAP_S, code=code)
+    assert host.process.wait(LIMIT_S) == 1
+    assert "a controller that takes too long" in host.said
+    assert FORWARD not in [tuple(command) for command in board.commands]
+    braked(board)
 
 
 def test_a_controller_that_never_comes_back_from_c(board: PtyBoard, tmp_path: Path) -> None:

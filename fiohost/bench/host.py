@@ -35,7 +35,7 @@ class HostWatch:
         now_s = self._clock.now_s()
         since_s, self._last_s = now_s - self._last_s, now_s
         if self._rings:
-            signal.setitimer(signal.ITIMER_REAL, ALARM_GAPS * self._gap_s)
+            self._set_alarm()
         guardian = self._guardian
         if since_s > self._gap_s or (guardian is not None and guardian.has_braked):
             raise self._late(since_s)
@@ -57,11 +57,15 @@ class HostWatch:
         before = signal.signal(signal.SIGALRM, self._ring)
         self._rings = True
         try:
+            self._set_alarm()  # the first step of a program may be the one that never comes back
             yield
         finally:
             self._rings = False
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
+
+    def _set_alarm(self) -> None:
+        signal.setitimer(signal.ITIMER_REAL, ALARM_GAPS * self._gap_s)
 
     def _ring(self, signum: int, frame: FrameType | None) -> None:
         if self._rings:

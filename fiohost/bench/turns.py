@@ -49,18 +49,19 @@ def turns(
     guard = MotorGuard(profile.guards, sample_time_s, profile.counts_per_rev, getattr(program, "patience", 1.0)).check
     limiter, carried = Limiter(profile.limits, sample_time_s), line.link.codec.carried
     real, begin, shown = clock.real, 0.0, -every
-    first = line.steps + 1
+    first: int | None = None  # a program's time begins with its first reading, however late that comes
     with watch.alarmed():
         while True:
             if stop.requested:
                 stop.check()
             reading = tick()
-            k = max(0, line.steps - first)
             if real and not begin:
                 begin = clock.now_s()
             if reading is None:
                 watch.turn()
                 continue
+            first = line.steps if first is None else first
+            k = line.steps - first
             direction, pos, _, _ = reading
             angle = unwrap(pos) * deg
             answer = step(k, angle)
