@@ -300,9 +300,9 @@ def test_a_controller_is_ended_when_two_and_a_half_gaps_have_passed(monkeypatch:
     with watch.alarmed():
         watch.turn()
         watch.turn()
-    assert set_s == [0.5, 0.5, 0.0]
+    assert set_s == [0.5, 0.5, 0.5, 0.0]  # before the first step too
     watch.turn()
-    assert len(set_s) == 3
+    assert len(set_s) == 4
 
 
 def test_a_loop_that_came_back_late_ends_the_run_beyond_the_gap_and_not_at_it() -> None:
