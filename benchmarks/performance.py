@@ -60,7 +60,7 @@ PARTS = {
                   ("--motors", "60", "--bad", "0.1", "--short", "20")),
     "watch": Part("While it runs", (), "False alarms of `fiohost watch` in simulated days of normal running with "
                   "drifting temperature and load, and the delay from a change to its alarm. Aim: at most one false "
-                  "alarm in 24 h.", ("--hours", "6", "--repeats", "1")),
+                  "alarm in 24 h.", ("--hours", "24", "--repeats", "1")),
 }  # fmt: skip
 HEAD = """# How fast it is
 
