@@ -7,15 +7,25 @@ import random
 
 import numpy as np
 import pytest
-from pairs import EITHER, NAMES, PAIRS, RULE, as_model, compare, draw_commands, draw_plant, draw_run, on_host
+from pairs import (
+    EITHER,
+    FIRST_SECOND_DEG,
+    NAMES,
+    PAIRS,
+    RULE,
+    as_model,
+    compare,
+    draw_commands,
+    draw_plant,
+    draw_run,
+    on_host,
+)
 
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from firmware_model.plants import make_plant
 
 SEED = 1 if os.environ.get("CI") else random.randrange(10**6)
-# Beside another effect one that is at its neutral value may change the length of steps, and so their error.
-STEPS_DEG = 0.02
 MOTOR_KEYS = ("supply_V", "R_ohm", "L_H", "Kt_Nm_per_A", "Ke_Vs_per_rad", "J_kgm2", "coulomb_Nm")
 
 
@@ -82,6 +92,7 @@ def neutral(model: Model, name: str) -> Model:
 
 @pytest.mark.parametrize("name", [n for n, e in effects().items() if any(p.neutral is not None for p in e.parameters)])
 def test_an_effect_at_its_neutral_value_changes_nothing_beside_any_other(name: str) -> None:
+    """But for the length of steps, and so for events that come and go within one."""
     rng = random.Random(f"neutral {name} {SEED}")
     modes, duties = draw_commands(rng, 1.5)
     for other in NAMES:
@@ -91,7 +102,7 @@ def test_an_effect_at_its_neutral_value_changes_nothing_beside_any_other(name: s
         if name in model.effects:
             continue
         without, beside = (on_host(m, 0.25, modes, duties) for m in (model, neutral(model, name)))
-        assert np.max(np.abs(without - beside)) <= STEPS_DEG, other
+        assert np.max(np.abs(without - beside)) <= FIRST_SECOND_DEG, other
 
 
 def test_what_a_plant_has_in_si_is_in_percent_degrees_and_seconds_what_the_formulas_say() -> None:

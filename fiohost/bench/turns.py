@@ -55,12 +55,11 @@ def turns(
             if stop.requested:
                 stop.check()
             reading = tick()
-            if real and not begin:
-                begin = clock.now_s()
             if reading is None:
                 watch.turn()
                 continue
-            first = line.steps if first is None else first
+            if first is None:
+                first, begin = line.steps, clock.now_s() if real else 0.0
             k = line.steps - first
             direction, pos, _, _ = reading
             angle = unwrap(pos) * deg

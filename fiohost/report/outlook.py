@@ -72,7 +72,7 @@ def curves_sentence(diagnosis: Mapping[str, Any]) -> str:
 def extrapolation_sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     """Of every held-out log that goes beyond what the training logs did, where."""
     return [
-        f"{one['log']} goes beyond the training logs: {listed(one['beyond'])}; there the model extrapolates, unproven."
+        f"{one['log']} goes beyond the training logs: {listed(one['beyond'])}; there the model extrapolates."
         for one in diagnosis.get("extrapolates") or []
     ]
 

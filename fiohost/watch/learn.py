@@ -22,10 +22,6 @@ from fiohost.watch.evidence import DRIFTS, Whitening, Window, begin_of, evidence
 from fiohost.watch.replicas import normal_run
 from fiohost.watch.settings import SETTINGS, WatchSettings
 
-# Gain, friction and load are found around the model anew until they move by no more than this share of how far it may
-# stand from the motor, so often at most.
-MOVES, ROUNDS = 0.02, 12
-
 
 @dataclass(frozen=True)
 class Learned:
@@ -80,8 +76,10 @@ def _lacks(windows: Sequence[Window], changes: Sequence[Candidate]) -> tuple[np.
     power.
     """
     usual = np.array([1e6] * DRIFTS + [c.usual for c in changes for _ in c.columns])
-    usual[DRIFTS : 2 * DRIFTS] *= 1e-6  # gain, friction and load again, as what may jump
-    information = sum(w.information for w in windows) + np.diag(1.0 / usual**2)
+    seen = sum(w.information for w in windows)
+    # Gain, friction and load stand there again, as what may jump; a model without friction has none that drifts.
+    usual[DRIFTS : 2 * DRIFTS] *= np.where(np.diag(seen)[:DRIFTS] > 0.0, 1e-6, 1.0)
+    information = seen + np.diag(1.0 / usual**2)
     found = np.linalg.solve(information, sum(w.score for w in windows))
     found[:DRIFTS] = 0.0
     return np.asarray(found), np.linalg.inv(information)[DRIFTS:, DRIFTS:]
@@ -89,7 +87,7 @@ def _lacks(windows: Sequence[Window], changes: Sequence[Candidate]) -> tuple[np.
 
 def _as_it_stands(record: Record, model: Model, settings: WatchSettings) -> tuple[Model, Noise]:
     """The model with today's gain, friction and load, and the noise that it leaves."""
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         start = begin_of(record, Flat.of(model))
         noise = noise_of(model, [start], [record])
         windows = evidence(record, model, np.zeros(DRIFTS), (), Whitening(motor_of(record, model), noise))
@@ -100,7 +98,7 @@ def _as_it_stands(record: Record, model: Model, settings: WatchSettings) -> tupl
         shift = np.linalg.solve(information, sum(w.score for w in windows) / power)
         within = np.array(settings.begins_within)
         model = varied(model, np.clip(shift, -2.0 * within, 2.0 * within))
-        if np.all(np.abs(shift) <= MOVES * within):
+        if np.all(np.abs(shift) <= settings.moves * within):
             break
     return model, noise
 

@@ -14,6 +14,10 @@ class WatchSettings:
     drift_per_minute: tuple[float, float, float] = (0.01, 0.06, 0.25)
     # How far the motor may stand from its model when the watch begins.
     begins_within: tuple[float, float, float] = (0.10, 0.40, 2.0)
+    # It is looked for around the model anew until it moves by no more than this share of that, so often at most: some
+    # motors swing about where they stand.
+    moves: float = 0.02
+    rounds: int = 12
     # Beyond this, what drifted slowly is said too: it is no longer the motor that the model is of.
     drifted: tuple[float, float, float] = (0.25, 1.0, 6.0)
     # Windows looked back (window-limited generalised likelihood ratio, Lai 1998). One alone is never believed.
