@@ -146,13 +146,13 @@ def coasting(volts, emf, share, lost, ohms, most, periods):  # type: ignore[no-u
 
 
 @inlined
-def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, p, on):  # type: ignore[no-untyped-def]
-    """The winding at a speed: the settled mean of its current, whether it ceases or is limited in each period, the mean
-    voltages under which a current along and against the motion's sign flows, and the resistance.
+def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, losing, p, on):  # type: ignore[no-untyped-def]
+    """The winding at a speed, ``losing`` what ``losses`` says of it: the settled mean of its current, whether it ceases
+    or is limited in each period, the mean voltages under which a current along and against the motion's sign flows, and
+    the resistance.
     """
-    ohms = resistance(1.0, (duty,), x, shift, p, on)
-    lost = drop((), p, on)
-    most = ceiling((), p, on)
+    lost, most, opening, _, resisting, periods = losing
+    ohms = resistance(1.0, (duty,), x, shift, p, on) if resisting else 1.0
     emf = omega * per_gain
     share = min(abs(duty) * 0.01, 1.0)
     on_volts, pause = 0.0, lost
@@ -160,13 +160,12 @@ def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, p, on):  #
         share, pause = 0.0, SUPPLY + lost
     elif share > 0.0:
         on_volts = voltage(duty, (duty, time), x, shift, p, on) / share
-        if opens(on):
+        if opening:
             pause += abs(on_volts)
     along = share * (on_volts - lost) - (1.0 - share) * pause
     against = share * (on_volts + lost) + (1.0 - share) * pause
     ripple = 0.0
     if lag_s == 0.0 and share > 0.0 and mode != STANDBY:
-        periods = coasts((), p, on)
         if periods >= 0.0:
             return coasting(on_volts, emf, share, lost, ohms, most, periods), True, along, against, ohms
     if lag_s > 0.0:
@@ -200,7 +199,9 @@ def winding_lag(p, on):  # type: ignore[no-untyped-def]
 @inlined
 def settled_current(omega, time, duty, x, p, on):  # type: ignore[no-untyped-def]
     """Mean current in percent of stall of a driven motor at a speed, once a lag of its own is over."""
-    mean, _, _, _, _ = circuit(omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, -1, winding_lag(p, on), p, on)
+    mean, _, _, _, _ = circuit(
+        omega, time, duty, DRIVE, 1.0 / p[GAIN], x, 0, -1, winding_lag(p, on), losses(p, on), p, on
+    )
     return mean
 
 
@@ -213,12 +214,12 @@ def flows(amps, along, against):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def winding(omega, amps, time, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
+def winding(omega, amps, time, duty, mode, per_gain, lag, lost, free, way, settled, x, shift, p, on):  # type: ignore[no-untyped-def]
     """The current that drives, the voltage and resistance that it follows, the settled value at which it stays (inf:
     none), the way in which it flows, and whether it flows free (1) or is settled (0, or 2 where it ceases or is limited
     in each period). ``free`` is -1 at the beginning of a step; in its middle ``free`` and ``way`` are as there.
     """
-    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, PULSE, lag, p, on)
+    mean, special, along, against, ohms = circuit(omega, time, duty, mode, per_gain, x, shift, PULSE, lag, lost, p, on)
     if free < 0:
         free = 0
         if lag > 0.0 and not (settled and special):

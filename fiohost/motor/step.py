@@ -95,7 +95,7 @@ def advance(at, x, duty, mode, time, span, substep, kind, lag, lost, has, more, 
         for middle in range(2):
             if special:
                 push, volts, ohms, until, way, free = winding(
-                    w, i, when, duty, mode, per_gain, lag, free, way, settled, x, shift, p, on
+                    w, i, when, duty, mode, per_gain, lag, lost, free, way, settled, x, shift, p, on
                 )
             else:
                 push, volts, ohms, free = simple_winding(w, i, when, duty, mode, per_gain, lag, lost, x, shift, p, on)
