@@ -165,9 +165,8 @@ def circuit(omega, time, duty, mode, per_gain, x, shift, kept, lag_s, losing, p,
     along = share * (on_volts - lost) - (1.0 - share) * pause
     against = share * (on_volts + lost) + (1.0 - share) * pause
     ripple = 0.0
-    if lag_s == 0.0 and share > 0.0 and mode != STANDBY:
-        if periods >= 0.0:
-            return coasting(on_volts, emf, share, lost, ohms, most, periods), True, along, against, ohms
+    if lag_s == 0.0 and share > 0.0 and mode != STANDBY and periods >= 0.0:
+        return coasting(on_volts, emf, share, lost, ohms, most, periods), True, along, against, ohms
     if lag_s > 0.0:
         ripple = (abs(on_volts) + pause - lost) * share * (1.0 - share) * p[PERIOD] / lag_s
     up, down = (along - emf) / ohms, (against - emf) / ohms
