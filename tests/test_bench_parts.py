@@ -90,10 +90,10 @@ def test_a_turn_is_a_reading_an_answer_and_a_row() -> None:
     assert early.rows[0][0] == 0.0
 
 
-def test_on_a_real_clock_each_row_has_the_time_since_the_first_turn() -> None:
+def test_on_a_real_clock_each_row_has_the_time_since_the_first_reading() -> None:
     made = Turns([None, (1, 0), (2, 0), (3, 0)], real=True)
     made.run(OpenLoop([BRAKE_COMMAND] * 2))
-    assert [row[-1] for row in made.rows] == [0.25, 0.5]
+    assert [row[-1] for row in made.rows] == [0.0, 0.25]
 
 
 def test_turns_without_a_reading_are_turns_of_the_host() -> None:
