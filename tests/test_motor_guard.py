@@ -142,6 +142,19 @@ def test_pulses_on_a_shaft_that_stands_add_up() -> None:
     assert pulses(6.0) == 0  # it cools in between
 
 
+def test_half_a_turn_that_nobody_saw_is_no_turn_against_the_command() -> None:
+    """Readings 0.4 s apart of a shaft at 500 deg/s look like 160 deg back, again and again."""
+    guard, command, angle = MotorGuard(Guards(), 0.005, 720), Command.drive(40.0), 0.0
+    ticks = [k for begin in range(0, 800, 100) for k in range(begin, begin + 20)]
+    for before, k in zip([0, *ticks], ticks, strict=False):
+        turned = 2.5 * (k - before)
+        angle += (turned + 180.0) % 360.0 - 180.0
+        guard.check(k, command, angle)
+    with pytest.raises(GuardError, match="against the command"):
+        for step in range(1, 200):
+            guard.check(k + step, command, angle - 2.5 * step)
+
+
 def test_a_reversal_at_full_speed_and_single_damaged_readings_are_no_faults(tmp_path: Path) -> None:
     """A heavy shaft runs on against its new command, ever slower; a report in a hundred has a wrong count."""
     (tmp_path / "heavy.toml").write_text(

@@ -46,6 +46,9 @@ class MotorGuard:
             since_s = max(1, k - last_k) * self._tick_s
             self._plausible(abs(angle_deg - last_deg) / since_s)
             self._stall(since_s, angle_deg)
+            if k - last_k > SPEED_TICKS:  # by then it may have turned by more than half a turn: which way, nobody saw
+                self._seen.clear()
+                self._sign = 0.0
         else:
             self._stood_deg, self._heat_s = angle_deg, 0.0
         self._seen.append((k, angle_deg))
