@@ -53,6 +53,17 @@ def test_a_load_that_no_name_fits_is_handed_over_as_a_curve() -> None:
     assert "load_over_position" not in found.final.fit.model.effects  # it names nothing
 
 
+@pytest.mark.parametrize("name", ["load_over_position", "friction_over_position"])
+def test_a_curve_of_any_shape_is_named_where_no_sine_does_as_well(name: str) -> None:
+    bench = DECLARED.with_effect(name, BUMP)
+    found = diagnose_records([run_of(bench, seed) for seed in (1, 2, 3)], [run_of(bench, 4)], DECLARED)
+    assert (found.verdict, [s.effect for s in found.steps]) == ("explained", [name])
+    assert found.final.fit.model.number(f"{name}.point_3_pct") == pytest.approx(2.5, abs=0.1)
+    sine = DECLARED.with_effect("gravity_load", {"level_pct": 2.0, "phase_deg": 40.0})
+    found = diagnose_records([run_of(sine, seed) for seed in (1, 2, 3)], [], DECLARED)
+    assert [s.effect for s in found.steps] == ["gravity_load"]
+
+
 def test_no_curve_is_laid_where_none_is_asked_for() -> None:
     assert with_curves(DECLARED, [run_of(DECLARED, seed) for seed in (1, 2, 3)]) is None
 

@@ -150,9 +150,13 @@ def test_half_a_turn_that_nobody_saw_is_no_turn_against_the_command() -> None:
         turned = 2.5 * (k - before)
         angle += (turned + 180.0) % 360.0 - 180.0
         guard.check(k, command, angle)
-    with pytest.raises(GuardError, match="against the command"):
+
+    def turns_back() -> None:
         for step in range(1, 200):
             guard.check(k + step, command, angle - 2.5 * step)
+
+    with pytest.raises(GuardError, match="against the command"):
+        turns_back()
 
 
 def test_a_reversal_at_full_speed_and_single_damaged_readings_are_no_faults(tmp_path: Path) -> None:

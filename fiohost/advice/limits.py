@@ -295,5 +295,5 @@ def _groups(effect: Effect, trials: Sequence[Trial], sizes: Sequence[Parameter])
 def detection_limits(stage: Stage, records: Sequence[Record], library: Sequence[str] | None = None) -> list[Limit]:
     """What size of each effect of the library these records would have shown beside the final model."""
     limits = Limits(stage, records)
-    offered = candidates(limits.model, records, library, span_of(records))
+    offered = [e for e in candidates(limits.model, records, library, span_of(records)) if not e.points]  # no one size
     return [limit for found in each(limits.of, offered) for limit in found]

@@ -76,7 +76,7 @@ def _without(name: str, model: Model) -> Limit:
         reason = "part of the model: fitted whatever its size"
     elif item.equivalents:
         reason = f"the same in every log as {' and '.join(item.equivalents)}"
-    elif not item.trials and item.trials_for is None:
+    elif item.points or not (item.trials or item.trials_for):
         reason = "not tried at sizes of its own: it is read from what is left over angle or time"
     else:
         reason = "not met in these logs"

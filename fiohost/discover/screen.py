@@ -218,25 +218,42 @@ class Screen:
         share = float(powers(along[None, :], weights)[0]) / self.power
         return Direction(grown, basis.astype(np.float32), share, weights)
 
+    def _curved(self, effect: Effect, trial: Trial) -> Direction:
+        """A curve of any shape: each of its points alone, and what the residual asks of all of them together."""
+        alone = [{**trial, **{p: trial[p] if p == point else 0.0 for p in effect.points}} for point in effect.points]
+        signatures = np.column_stack([self._cleaned(change) for change in self._changes(effect, alone)])
+        basis, triangle = np.linalg.qr(signatures)
+        if self.power == 0.0 or np.any(np.abs(np.diag(triangle)) <= 1e-6 * np.abs(triangle).max()):
+            return Direction(trial, np.zeros(signatures.shape, dtype=np.float32), 0.0)
+        along = basis.T @ self.residual
+        grown = dict(trial)
+        for point, factor in zip(effect.points, np.linalg.solve(triangle, along), strict=True):
+            bounds = effect.parameter(point)
+            grown[point] = float(np.clip(factor * float(trial[point]), bounds.lower, bounds.upper))
+        return Direction(grown, basis.astype(np.float32), float(along @ along) / self.power)
+
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
         trials = [dict(t) for t in (effect.trials_for(self.span) if effect.trials_for else effect.trials)]
         if effect.couples:
             found = [self._swinging(effect, t) for t in trials]
+        elif effect.points:
+            found = [self._curved(effect, t) for t in trials]
         else:
             sized = [p for p in effect.parameters if p.neutral is not None]
             one_sided = bool(sized) and all(p.lower >= p.neutral or p.upper <= p.neutral for p in sized)  # type: ignore[operator]
             changes = self._changes(effect, trials)
             found = [self._single(effect, t, c, one_sided) for t, c in zip(trials, changes, strict=True)]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
+        grown = bool(effect.couples or effect.points)  # a trial as the library has it says nothing of their shape
         starts: list[Trial] = []
         for i in varied(effect, trials, order)[: SCREEN.best_trials]:
             starts.append(found[i].trial)
-            if not effect.couples and found[i].trial != trials[i]:
+            if not grown and found[i].trial != trials[i]:
                 starts.append(trials[i])
         share = found[order[0]].share if found else 0.0
         by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
-        raw = () if effect.couples else tuple(trials[i] for i in by_size)
+        raw = () if grown else tuple(trials[i] for i in by_size)
         return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
 
 

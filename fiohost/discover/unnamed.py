@@ -15,9 +15,9 @@ from fiohost.discover.objective import Windows
 from fiohost.discover.score import Gain, left_out
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import ANGLE, Record
-from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
+CURVES = ("friction_over_position", "load_over_position")
 POINTS_DRAWN = 12
 
 
@@ -64,7 +64,7 @@ def with_curves(model: Model, train: Sequence[Record]) -> Unnamed | None:
     records = windows.plain
     base = fit(model, records, windows=True, max_iterations=12, tolerance=1e-5)
     first, taken = base, []
-    names = [n for n, item in effects().items() if item.unnamed and n not in model.effects]
+    names = [n for n in CURVES if n not in model.effects]
     while names:
         tried = {n: _with(base, n, records) for n in names}
         best = min(names, key=lambda n: tried[n].cost)

@@ -205,14 +205,14 @@ class Effect:
 
     ``stage`` orders maps of the command. ``commonness`` (0 every drive has it, 9 rare) decides between effects that the
     data cannot tell apart; all their names are reported whatever it is. ``couples`` names each size that swings and
-    the phase that goes with it: a sine and a cosine make any of both, so that a trial needs no phase. ``once`` marks
+    the phase that goes with it: a sine and a cosine make any of both, so that a trial needs no phase. ``points`` names
+    sizes that add up to a curve: a trial is all of them together, each as large as data ask for. ``once`` marks
     an event that can be had only once, so that left-out records cannot confirm it: it is believed only where it leaves
     nothing; ``shown`` what readings show by themselves wherever it is tried, so that one record is enough; ``warms``
     what hangs on how warm the bench began, ``clocked`` what hangs on the bench's own time, from one log to the next.
     ``trials_for`` makes trials that depend on what the data cover. ``substep_s`` is the longest step over which the
-    effect may be frozen; ``opens`` says that the bridge is open, not shorted, between pulses. ``unnamed`` is a general
-    curve, for what no name fits; ``drives`` says that the effect may bring energy of its own, as a weight or a clock
-    does.
+    effect may be frozen; ``opens`` says that the bridge is open, not shorted, between pulses; ``drives`` that
+    the effect may bring energy of its own, as a weight or a clock does.
     """
 
     name: str
@@ -231,12 +231,12 @@ class Effect:
     trials: tuple[Mapping[str, Value], ...] = ()
     trials_for: Callable[[Span], tuple[Mapping[str, Value], ...]] | None = field(default=None, repr=False)
     couples: tuple[tuple[str, str], ...] = ()
+    points: tuple[str, ...] = ()
     once: bool = False
     shown: bool = False
     warms: bool = False
     clocked: bool = False
     opens: bool = False
-    unnamed: bool = False
     drives: bool = False
     command: Hook | None = field(default=None, repr=False)
     voltage: Hook | None = field(default=None, repr=False)

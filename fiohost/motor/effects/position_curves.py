@@ -1,4 +1,4 @@
-"""General curves over the angle, of load and of friction: for what no name fits."""
+"""General curves over the angle, of load and of friction: for what no sine fits."""
 
 import math
 from typing import Any
@@ -7,7 +7,9 @@ from fiohost.motor.effect import Effect, Kind, Parameter
 
 # Points of the curve; the last one's value follows, as the curve has no mean: that is constant load or friction.
 POINTS = 12
+TRIAL_PCT = 0.2
 FROM, SPAN, FIRST = 0, 1, 2
+NAMES = tuple(f"point_{i}_pct" for i in range(1, POINTS))
 
 
 def curve(theta_deg: float, q: Any) -> float:
@@ -40,7 +42,7 @@ def parameters(limit_pct: float) -> tuple[Parameter, ...]:
     return (
         Parameter("from_deg", "deg", 0.0, -1e6, 1e6, neutral=None, special=Kind.PLACE, order=-1),
         Parameter("span_deg", "deg", 360.0, 1e-2, 1e6, neutral=None, special=Kind.PLACE),
-        *(Parameter(f"point_{i}_pct", "%", 0.0, -limit_pct, limit_pct) for i in range(1, POINTS)),
+        *(Parameter(name, "%", 0.0, -limit_pct, limit_pct) for name in NAMES),
     )
 
 
@@ -53,30 +55,32 @@ SOURCE = "Catmull and Rom, A class of local interpolating splines, 1974; linear 
 EFFECTS = (
     Effect(
         name="load_over_position",
-        summary="a load that follows the angle by a curve of no name",
+        summary="a load that follows the angle by a curve of any shape",
         equation=f"load = {SHAPE}",
         acts_on="torque",
         substep_s=0.0025,
         angle_bound=True,
-        unnamed=True,
         commonness=9,
         signature="missing torque over the angle, the same curve in both directions",
         parameters=parameters(90.0),
+        trials=(dict.fromkeys(NAMES, TRIAL_PCT),),
+        points=NAMES,
         source=SOURCE,
         load=load,
     ),
     Effect(
         name="friction_over_position",
-        summary="friction that follows the angle by a curve of no name",
+        summary="friction that follows the angle by a curve of any shape",
         equation=f"friction = level + {SHAPE}; at least 0",
         acts_on="friction",
         stage=60,
         substep_s=0.0025,
         angle_bound=True,
-        unnamed=True,
         commonness=9,
         signature="missing torque over the angle that changes sign with direction",
         parameters=parameters(90.0),
+        trials=(dict.fromkeys(NAMES, TRIAL_PCT),),
+        points=NAMES,
         source=SOURCE,
         friction=friction,
     ),
