@@ -30,8 +30,10 @@ class WorldTask:
 
 
 def drawable(world: str, name: str) -> bool:
-    """Whether an effect can be had in a world."""
-    return not (BY_NAME[world].restarts and name in CLOCKED)
+    """Whether an effect can be had in a world, and has a name beside noise: curves over the position have none."""
+    from fiohost.motor.effect import effect
+
+    return not (BY_NAME[world].restarts and name in CLOCKED) and not effect(name).points
 
 
 def run_world(task: WorldTask) -> Row:

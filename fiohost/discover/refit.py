@@ -74,7 +74,9 @@ class LogsBeside:
         self.taken: set[str] = set()
 
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
-        return candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span), []
+        offered = candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span)
+        # Beside noise all points of a curve take up a tenth of any slow torque.
+        return [e for e in offered if self.logs.exact or not e.points], []
 
     def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
         # The null asks for the directions of the first screen.
@@ -89,7 +91,8 @@ class LogsBeside:
                 return []
             say("beginning anew with each of them")
             first = self.screens[0]
-            named = self.named(0)
+            # Begun from nothing a general curve takes up what any other effect does.
+            named = [x for x in self.ranked[0] if not x.effect.points]
             others = fits_anew(first.fit, named, first.records, s.refitted)
             jobs = [Job(named[i], first.fit, first.records) for i, _ in others]
             rough = [found for _, found in others]
@@ -100,18 +103,14 @@ class LogsBeside:
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
         if anew and not self.logs.exact and not any(self.leaves_noise(state, names) for state, names in states):
             say("beside every effect more than noise is left: beginning anew with each of them")
-            plain, named = self.screens[-1], self.named(-1)
-            others = fits_anew(plain.fit, named, plain.records, s.finalists_in_windows)
-            jobs = [Job(named[i], plain.fit, plain.records) for i, _ in others]
+            plain = self.screens[-1]
+            others = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
+            jobs = [Job(self.ranked[-1][i], plain.fit, plain.records) for i, _ in others]
             for name, found in self.carried(jobs, [found for _, found in others], floor).items():
                 if name not in best or found[1].deviance < best[name][1].deviance:
                     best[name] = found
         self.taken = set(best)
         return list(best.values())
-
-    def named(self, screen: int) -> list[Score]:
-        """The ranks of a screen without general curves: begun from nothing, one takes up what any other effect does."""
-        return [x for x in self.ranked[screen] if not x.effect.points]
 
     def carried(self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float) -> dict[str, tuple[Effect, State]]:
         """The best of rough fits carried to their minimum, by name."""

@@ -217,8 +217,7 @@ class Search(Generic[J]):
         null = beside.null(children[0].state)
         whys = each(lambda c: self.objection(node, c, null), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
-        # All points of a curve take up a tenth of any slow torque: what follows the angle shows in the missing torque.
-        beyond = [c for c in children if c.gain > self.asked(c, null) and not c.effect.points]
+        beyond = [c for c in children if c.gain > self.asked(c, null)]
         material = any(self.evidence.immaterial(node.state, c.state) is None for c in beyond)
         node.lacks = not accepted and material
         beaten = f"does less well than {accepted[0].name}" if accepted else None
