@@ -147,7 +147,7 @@ def main() -> int:
     seed = secrets.randbelow(2**31) if chosen.seed is None else chosen.seed
 
     from fiohost.fleet.summary import summarised
-    from fiohost.fleet.together import calibrated, population
+    from fiohost.fleet.together import population
 
     motors = drawn(chosen.motors, chosen.bad, seed)
     fresh = [m for m in drawn(chosen.motors + chosen.short, 0.0, seed)[chosen.motors :] if not m.fault]
@@ -167,8 +167,7 @@ def main() -> int:
         lot = [m for m in bad if m.fault == fault]
         print(f"{fault}: missed {bounds(sum(m.name not in apart for m in lot), len(lot))}")
     print(f"good motors said to stand apart: {bounds(sum(m.name in apart for m in good), len(good))}")
-    together = calibrated([*rows, *short])
-    type_, short = population(together[: len(rows)]), together[len(rows) :]
+    type_ = population(rows)
     assert type_ is not None
     own = [np.array(r["values"]) for r in short]
     middle = [type_.mean * type_.scale for _ in short]

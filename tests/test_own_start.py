@@ -10,6 +10,7 @@ from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.noise.estimate import NONE
 
 STEP_S = 0.005
 FITTED = Model(
@@ -36,7 +37,7 @@ def test_gain_friction_load_and_dead_time_of_a_run_come_from_its_beginning() -> 
     own = {"linear.gain_deg_s_per_pct": 10.4, "coulomb_friction.level_pct": 3.6}
     bench = FITTED.with_values(own).with_effect("constant_load", {"level_pct": 0.7})
     bench = bench.with_effect("transport_delay", {"delay_s": 0.004})
-    (found,) = own_starts([run_of(bench)], FITTED, 0.15)
+    (found,) = own_starts([run_of(bench)], FITTED, NONE)
     assert found is not None
     told = {key: value for key, (value, _) in found.values.items()}
     assert told["linear.gain_deg_s_per_pct"] == pytest.approx(10.4, rel=2e-3)
@@ -49,7 +50,7 @@ def test_gain_friction_load_and_dead_time_of_a_run_come_from_its_beginning() -> 
 
 def test_what_comes_after_the_beginning_decides_nothing() -> None:
     one, other = run_of(FITTED), run_of(FITTED, end=12.0)
-    (same,), (changed,) = (own_starts([r], FITTED, 0.15) for r in (one, other))
+    (same,), (changed,) = (own_starts([r], FITTED, NONE) for r in (one, other))
     assert same is not None
     assert changed is not None
     assert changed.values == same.values
@@ -59,14 +60,14 @@ def test_what_comes_after_the_beginning_decides_nothing() -> None:
 def test_a_beginning_that_says_little_leaves_the_fitted_values() -> None:
     n = round(24.0 / STEP_S)
     still = make_record("still", np.arange(n) * STEP_S, np.zeros(n), np.full(n, 0.25), quantum=0.5, at_rest=True)
-    (found,) = own_starts([still], FITTED, 0.15)
+    (found,) = own_starts([still], FITTED, NONE)
     assert found is not None
     assert found.values["linear.gain_deg_s_per_pct"][0] == pytest.approx(10.0, rel=1e-6)
 
 
 def test_short_records_and_no_seconds_have_no_own_start() -> None:
-    assert own_starts([run_of(FITTED, 2.0)], FITTED, 0.15) == [None]
-    assert own_starts([run_of(FITTED)], FITTED, 0.15, settings=OwnSettings(seconds=0.0)) == [None]
+    assert own_starts([run_of(FITTED, 2.0)], FITTED, NONE) == [None]
+    assert own_starts([run_of(FITTED)], FITTED, NONE, settings=OwnSettings(seconds=0.0)) == [None]
     assert pooled([None]) is None
 
 
@@ -95,7 +96,7 @@ def test_where_a_run_counts_from_is_found_with_its_own_gain() -> None:
         y = free_output(bare, Flat.of(own), Start(0.0, 0.0))
         counted = np.floor(y / 0.5) * 0.5 + 0.25
         record = make_record("held", times, duty, counted, quantum=0.5, at_rest=True, own_zero=True)
-        (found,) = own_starts([record], model, 0.3)
+        (found,) = own_starts([record], model, NONE)
         assert found is not None
         errors.append(found.own.errors.window_rms)
     assert max(errors) < 1.15 * 0.5 / np.sqrt(12.0)

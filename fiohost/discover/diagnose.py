@@ -193,9 +193,8 @@ def _diagnose(
     left = dependences(train, final, stage.judgements, rng)
     lacked = dependences(train, declared.fit.model, declared.judgements, rng) if steps else left
     noise = found.noise or noise_of(final, [j.start for j in stage.judgements], train)
-    window_rms = max(e.window_rms if (e := pooled(stage.judgements)) else 0.0, 1e-12)
     diagnosis = Diagnosis(
-        own_starts=tuple(own_starts(holdout, final, window_rms, noise.runs, own)),
+        own_starts=tuple(own_starts(holdout, final, noise, own)),
         own_settings=own,
         curves=tuple(force_curves(lacked, left)),
         tolerance_pct=tolerance_pct,

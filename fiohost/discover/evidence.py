@@ -22,6 +22,7 @@ from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
+from fiohost.noise.covariance import Movement
 from fiohost.noise.estimate import Noise
 
 
@@ -30,14 +31,14 @@ class State:
     """A fitted structure and its ``deviance``, -2 log likelihood but for a constant, comparable between structures.
 
     Of logs also the ``records`` as they were fitted; of windows the ``noise`` that it leaves, how the shaft moves there
-    (``moving``, n each), and ``bare``, its fit to windows as they are.
+    (``moving``), and ``bare``, its fit to windows as they are.
     """
 
     fit: Fit
     deviance: float
     records: tuple[Record, ...] = ()
     noise: Noise | None = None
-    moving: tuple[np.ndarray, ...] = ()
+    moving: tuple[Movement, ...] = ()
     bare: Fit | None = None
 
     @property

@@ -15,6 +15,8 @@ import numpy as np
 
 from fiohost.discover.folds import piece
 from fiohost.discover.metrics import Judgement, judge, pool
+from fiohost.discover.movement import movement, moving
+from fiohost.discover.whitened import with_noise
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import fit
 from fiohost.estimation.initial import has_own_zero
@@ -22,7 +24,8 @@ from fiohost.estimation.predict import Flat
 from fiohost.estimation.record import SHORTEST, Record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
-from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, RunToRun
+from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, NO_SCATTER, RunToRun
 
 GAIN_KEY, LOAD_KEY, DELAY_EFFECT = "linear.gain_deg_s_per_pct", f"{LOAD_EFFECT}.level_pct", "transport_delay"
 DELAY_KEY = f"{DELAY_EFFECT}.delay_s"
@@ -44,8 +47,6 @@ class OwnSettings:
     friction_sd: float = 0.3
     load_sd_pct: float = 1.0
     delay_sd_ticks: float = 1.0
-    # What is left in a window of 1 s is as good as so many readings that err apart.
-    readings_a_window: float = 10.0
     rounds: int = 4
 
 
@@ -75,14 +76,13 @@ class OwnStart:
 def own_starts(
     records: Sequence[Record],
     model: Model,
-    window_rms: float,
-    runs: RunToRun | None = None,
+    noise: Noise,
     settings: OwnSettings = SETTINGS,
 ) -> list[OwnStart | None]:
-    """Each record's own start under a fitted model that leaves ``window_rms`` in windows of its training records; None
-    where a record is too short.
+    """Each record's own start under a fitted model that leaves a ``noise`` in its training records; None where a record
+    is too short.
     """
-    return each(lambda r: _own_start(r, model, window_rms, runs, settings), records)
+    return each(lambda r: _own_start(r, model, noise, settings), records)
 
 
 def pooled(found: Sequence[OwnStart | None]) -> dict[str, object] | None:
@@ -92,9 +92,7 @@ def pooled(found: Sequence[OwnStart | None]) -> dict[str, object] | None:
     return None if cold is None or own is None else {"cold": cold.to_json(), "own": own.to_json()}
 
 
-def _own_start(
-    record: Record, model: Model, window_rms: float, runs: RunToRun | None, settings: OwnSettings
-) -> OwnStart | None:
+def _own_start(record: Record, model: Model, noise: Noise, settings: OwnSettings) -> OwnStart | None:
     times = record.excitation.times_s - record.excitation.times_s[0]
     ends_s = min(settings.seconds, settings.share * record.seconds)
     first, last = np.searchsorted(times, (settings.left_out * ends_s, ends_s)).tolist()
@@ -102,7 +100,7 @@ def _own_start(
         return None
     beginning = piece(record, first, last, record.name)
     rest = piece(record, last, len(record), record.name)
-    known, zero = _most_likely(beginning, model, window_rms, runs, settings)
+    known, zero = _most_likely(beginning, model, noise, settings)
     cold = judge(rest, model)
     if zero is not None:
         known, rest = from_zero(known, zero), replace(rest, own_zero=False)
@@ -115,9 +113,9 @@ def _keys(model: Model) -> list[str]:
     return [GAIN_KEY, *(key for key in FRICTIONS if key in model.values), LOAD_KEY, DELAY_KEY]
 
 
-def _spread(key: str, model: Model, record: Record, runs: RunToRun | None, settings: OwnSettings) -> float:
+def _spread(key: str, model: Model, record: Record, runs: RunToRun, settings: OwnSettings) -> float:
     """How far (standard deviation) a run's own value lies from that of the model."""
-    known = runs.sd if runs is not None and runs.known else np.zeros(3)
+    known = runs.sd if runs.known else np.zeros(3)
     if key == GAIN_KEY:
         return float(known[GAIN] or settings.gain_sd) * abs(model.number(key))
     if key == LOAD_KEY:
@@ -127,9 +125,7 @@ def _spread(key: str, model: Model, record: Record, runs: RunToRun | None, setti
     return float(known[FRICTION] or settings.friction_sd) * max(abs(model.number(key)), 1e-3)
 
 
-def _most_likely(
-    record: Record, model: Model, window_rms: float, runs: RunToRun | None, settings: OwnSettings
-) -> tuple[Model, float | None]:
+def _most_likely(record: Record, model: Model, noise: Noise, settings: OwnSettings) -> tuple[Model, float | None]:
     """The model with the record's own values, and where on the bench's turn the record's zero is (None: known)."""
     for name in (LOAD_EFFECT, DELAY_EFFECT):
         if name not in model.effects:
@@ -137,23 +133,25 @@ def _most_likely(
             model = model.with_effect(name, {parameter.name: float(parameter.neutral or 0.0)})
     keys = [key for key in _keys(model) if key not in model.fixed]
     start = np.array([model.number(key) for key in keys])
-    precision = np.array([_spread(key, model, record, runs, settings) for key in keys]) ** -2.0
+    precision = np.array([_spread(key, model, record, noise.runs, settings) for key in keys]) ** -2.0
     own = replace(model, fixed=frozenset(key for key in model.values if key not in keys))
-    windows = max(len(record.windows) - 1, 1)
-    variance = window_rms**2 * max(len(record) / (windows * settings.readings_a_window), 1.0)
+    bare = replace(record, disturbance=None, every=1)
+    begun = fit(own, [bare], windows=True, max_iterations=1, tolerance=ENDLESS).starts
+    moves = movement([bare], own, begun, [moving(bare, own, begun[0], noise.torque_pct.value)])
+    (record,) = with_noise([bare], own, replace(noise, runs=NO_SCATTER), moves)
     lower, upper = np.array([(model.parameter(k).lower, model.parameter(k).upper) for k in keys]).T
-    here, starts, best = start, None, (np.inf, start, 0.0)
+    here, starts, best = start, begun, (np.inf, start, 0.0)
     for _ in range(settings.rounds):
         at = own.with_values(dict(zip(keys, here.tolist(), strict=True)))
         seen = fit(at, [record], windows=True, starts=starts, max_iterations=1, tolerance=ENDLESS)
-        cost = seen.cost / variance + float(precision @ (here - start) ** 2)
+        cost = seen.cost + float(precision @ (here - start) ** 2)
         if cost >= best[0]:
             break
         best = (cost, here, seen.starts[0].zero or 0.0)
-        starts = [s._replace(zero=None) for s in seen.starts]  # a wrong speed drifts by more than the turn swings
+        starts = tuple(s._replace(zero=None) for s in seen.starts)  # a wrong speed drifts by more than the turn swings
         columns = seen.jacobians[0][:, [seen.names.index(key) for key in keys]]
-        pull = columns.T @ seen.residuals[0] / variance - precision * (here - start)
-        step = np.linalg.solve(columns.T @ columns / variance + np.diag(precision), pull)
+        pull = columns.T @ seen.residuals[0] - precision * (here - start)
+        step = np.linalg.solve(columns.T @ columns + np.diag(precision), pull)
         here = np.clip(here + step, lower, upper)
     found = own.with_values(dict(zip(keys, best[1].tolist(), strict=True)))
     zero = best[2] if has_own_zero(record, Flat.of(found)) else None

@@ -11,19 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiohost.discover.movement import coasting, movement, moving, simulated_in_windows
 from fiohost.discover.replica import another_day, replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import Record
 from fiohost.estimation.starts import free_spans
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.motor.state import STANDBY
-from fiohost.noise.covariance import COASTS, DRIVEN, REST
+from fiohost.noise.covariance import Movement
 from fiohost.noise.disturbance import Disturbance
 from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, grouped, pieces
 from fiohost.noise.runs import (
@@ -51,19 +51,19 @@ WHITENING = SETTINGS.whitening
 
 @dataclass(frozen=True)
 class Settled:
-    """A model fitted to windows of ``records``, whitened by the ``noise`` that it leaves, the shaft standing where
-    ``moving`` (n each) says; ``bare`` is its fit to windows as they are.
+    """A model fitted to windows of ``records``, whitened by the ``noise`` that it leaves, the shaft ``moving``
+    so; ``bare`` is its fit to windows as they are.
     """
 
     fit: Fit
     bare: Fit
     records: tuple[Record, ...]
     noise: Noise
-    moving: tuple[np.ndarray, ...]
+    moving: tuple[Movement, ...]
 
     @property
     def deviance(self) -> float:
-        """-2 log restricted likelihood, but for a constant of the windows; comparable where ``moving`` is the same."""
+        """-2 log restricted likelihood, but for a constant of the windows and of where the shaft stands."""
         weights = sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
         return self.fit.cost + weights + freedom(self.fit, self.records)
 
@@ -87,35 +87,14 @@ def motor_of(record: Record, model: Model) -> Motor:
     return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), record.kind, record.quantum, record.sample_time_s)
 
 
-def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What windows leave (n), the speed (n) in them, and how the shaft moves from each sample to the next (n): whether
-    it stands, is driven or coasts.
-    """
-    plain = replace(record, disturbance=None, every=1)
-    residual, _ = windowed(plain, Flat.of(model), start)
-    speed = record.y - residual
-    ex = record.excitation
-    if record.kind == ANGLE:
-        steps = np.diff(speed) / np.diff(ex.times_s)
-        within = np.ones(len(steps), dtype=bool)
-        within[record.windows[1:-1] - 1] = False  # from one window to the next it jumps
-        before = np.maximum.accumulate(np.where(within, np.arange(len(steps)), 0))
-        speed = np.append(steps[before], steps[before[-1]])
-    moves = np.abs(speed) > WHITENING.stands * float(np.max(np.abs(speed), initial=0.0))
-    near = round(WHITENING.kink_s / record.sample_time_s)
-    moves = np.convolve(moves, np.ones(2 * near + 1), mode="same") > 0.5
-    coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
-    return residual, speed, np.where(moves, np.where(coasts, COASTS, DRIVEN), REST)
-
-
 def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record], runs: RunToRun = NO_SCATTER) -> Noise:
     """The noise that a fitted model leaves in windows of records, what differs between ``runs`` taken out."""
     found: list[Group] = []
     for record, start in zip(records, starts, strict=True):
         own = varied(model, runs.by_run.get(run_of(record.name), np.zeros(3)))
-        residual, speed, moving = simulated_in_windows(record, own, start)
+        residual, speed, _ = simulated_in_windows(record, own, start)
         motor = motor_of(record, model)
-        driven = np.where(moving == DRIVEN, speed, 0.0)
+        driven = np.where(coasting(record), 0.0, speed)
         found += grouped(pieces(residual, driven, record.windows, motor), motor)
     declared = {r.noise_rms for r in records}
     return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
@@ -179,19 +158,12 @@ def weighed(records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarra
     return tuple(found)
 
 
-def movement(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> tuple[np.ndarray, ...]:
-    """How a model's shaft moves from each sample of each record to the next (n each)."""
-    return tuple(simulated_in_windows(r, model, s)[2] for r, s in zip(records, starts, strict=True))
-
-
-def with_noise(
-    records: Sequence[Record], model: Model, noise: Noise, moving: Sequence[np.ndarray]
-) -> tuple[Record, ...]:
+def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Sequence[Movement]) -> tuple[Record, ...]:
     """The records with their windows whitened by a noise; what differs between runs is left as it is."""
     found = []
     for record, moves in zip(records, moving, strict=True):
         times = record.excitation.times_s
-        whitener = Whitener.of(times, moves, record.weights, *record.looked_at(), motor_of(record, model), noise)
+        whitener = Whitener(times, moves, record.weights, *record.looked_at(), motor_of(record, model), noise)
         found.append(replace(record, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 
@@ -209,19 +181,19 @@ def plain(records: Sequence[Record]) -> list[Record]:
 def settle(
     found: Fit,
     records: Sequence[Record],
-    moving: Sequence[np.ndarray] | None = None,
+    how: Sequence[np.ndarray] | None = None,
     rounds: int = WHITENING.rounds,
     bare_first: bool = True,
 ) -> Settled:
-    """Carry a fit on to windows whitened by what it leaves, in turns; ``moving`` where another model's movement is
-    to be kept, not ``bare_first`` where the model comes from whitened windows already.
+    """Carry a fit on to windows whitened by what it leaves, in turns; ``how`` (n each) is how the shaft moves
+    where another model's is to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
     most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
     fitted = plainly = fit(
         found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance, zeros=False
     )
-    moves = tuple(moving) if moving is not None else movement(bare, fitted.model, fitted.starts)
+    moves: tuple[Movement, ...] = ()
     whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
     best: Settled | None = None
@@ -232,6 +204,11 @@ def settle(
         if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break
+        if not moves:
+            if how is None:
+                rms = noise.torque_pct.value
+                how = [moving(r, fitted.model, s, rms) for r, s in zip(bare, fitted.starts, strict=True)]
+            moves = movement(bare, fitted.model, fitted.starts, how)
         whitened, model = with_noise(bare, fitted.model, noise, moves), fitted.model
         if several:
             model, noise, whitened = with_runs(fitted, whitened, noise, was.runs)
@@ -243,7 +220,8 @@ def settle(
             best = now
         if several and before is not None and now.deviance > before.deviance - WHITENING.settled_deviance:
             break  # what runs scatter by and what each has swing about where they settle
-    return best or Settled(fitted, plainly, whitened, noise, moves)
+    assert best is not None
+    return best
 
 
 def looks_white(stage: Stage, records: Sequence[Record]) -> bool:

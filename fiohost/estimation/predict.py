@@ -216,9 +216,10 @@ def fitted_windows(
     known = columns is not None
     own = np.zeros((2, len(record))) if columns is None else columns.copy()
     fit_windows(
-        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, firsts, lasts, bases, free_speed,
-        flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, speed_step(flat), residuals, shifts,
-        omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), np.empty(longest), np.empty(longest), known, own,
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, record.sure, firsts, lasts, bases,
+        free_speed, flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, speed_step(flat), residuals,
+        shifts, omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), np.empty(longest), np.empty(longest),
+        known, own,
     )  # fmt: skip
     return residuals, shifts, omegas, own
 

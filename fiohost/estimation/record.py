@@ -104,6 +104,12 @@ class Record:
         variance = (float(np.mean(np.abs(bends))) / MEAN_OF_NORMAL) ** 2 / 6.0 if len(bends) else 0.0
         return float(np.sqrt(max(variance - self.quantum**2 / 12.0, 0.0)))
 
+    @cached_property
+    def sure(self) -> np.ndarray:
+        """How sure each reading (n) is of where a window began: all alike, less where a random torque has moved it."""
+        whitener = self.disturbance.whitener if self.disturbance else None
+        return whitener.sure if whitener else np.ones(len(self))
+
     def speed_at(self, i: int) -> float:
         """The speed that is seen from a sample on, in the output's unit per second where that is an angle."""
         if self.kind != ANGLE:

@@ -132,6 +132,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
     modes,
     clock,
     y,
+    sure,
     firsts,
     lasts,
     bases,
@@ -156,14 +157,18 @@ def fit_windows(  # type: ignore[no-untyped-def]
     """Fit angle shift and speed of the windows from ``firsts`` (m) up to ``lasts`` (m); ``bases`` (m, states) are the
     free run's states at their first samples.
 
-    Writes ``residuals`` (n), measured minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques
-    depend on the angle, so that a shift is not just added to the output. ``columns`` (2, n) are the outputs'
-    derivatives by speed and angle; where they are ``known`` from nearby they serve as long as steps do what they
-    promise. The four arguments before ``known`` are work space.
+    Readings count by how ``sure`` (n) they are, one over their variance or alike. Writes ``residuals`` (n), measured
+    minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques depend on the angle, so that a shift
+    is not just added to the output. ``columns`` (2, n) are the outputs' derivatives by speed and angle; where they are
+    ``known`` from nearby they serve as long as steps do what they promise. The four arguments before ``known`` are work
+    space.
     """
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
         n = b - a
+        total = 0.0
+        for i in range(a, b):
+            total += sure[i]
         base = bases[w]
         shift, omega = 0.0, base[OMEGA]
         _move(state, base, shift, omega, p, on)
@@ -171,7 +176,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
         window_output(times, states, a, n, kind, seen, p, on, y, y0)
         if kind == ANGLE:
             for i in range(n):
-                shift += (y[a + i] - y0[i]) / n
+                shift += sure[a + i] * (y[a + i] - y0[i]) / total
             if bends:
                 _move(state, base, shift, omega, p, on)
                 simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
@@ -181,7 +186,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
                     y0[i] += shift
         cost = 0.0
         for i in range(n):
-            cost += (y[a + i] - y0[i]) ** 2
+            cost += sure[a + i] * (y[a + i] - y0[i]) ** 2
         damping = 1e-9
         aa, sa, ss = 0.0, 0.0, 0.0
         by_speed, by_angle = columns[0, a:b], columns[1, a:b]
@@ -197,13 +202,13 @@ def fit_windows(  # type: ignore[no-untyped-def]
                 serving, summed = True, True
                 ss, sa, aa = 0.0, 0.0, 0.0 if kind == ANGLE else 1.0
                 for i in range(n):
-                    ss += by_speed[i] * by_speed[i]
-                    sa += by_speed[i] * by_angle[i]
-                    aa += by_angle[i] * by_angle[i]
+                    ss += sure[a + i] * by_speed[i] * by_speed[i]
+                    sa += sure[a + i] * by_speed[i] * by_angle[i]
+                    aa += sure[a + i] * by_angle[i] * by_angle[i]
             rs, ra = 0.0, 0.0
             for i in range(n):
-                rs += by_speed[i] * (y[a + i] - y0[i])
-                ra += by_angle[i] * (y[a + i] - y0[i])
+                rs += sure[a + i] * by_speed[i] * (y[a + i] - y0[i])
+                ra += sure[a + i] * by_angle[i] * (y[a + i] - y0[i])
             step_speed, step_angle = _least_squares(rs, ra, ss, sa, aa, damping)
             expected = step_speed * rs + step_angle * ra
             if expected <= WORTH_MOVING * cost:
@@ -213,7 +218,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
             window_output(times, states, a, n, kind, seen, p, on, y, y1)
             new = 0.0
             for i in range(n):
-                new += (y[a + i] - y1[i]) ** 2
+                new += sure[a + i] * (y[a + i] - y1[i]) ** 2
             if new <= cost:
                 # Columns serve again while the step did what they promised.
                 serving = cost - new > AS_PROMISED * expected

@@ -14,7 +14,7 @@ import numpy as np
 
 from fiohost.errors import ConfigError
 from fiohost.files import write_output
-from fiohost.fleet.together import APART_Z, Population, calibrated, population, trend, z_scores
+from fiohost.fleet.together import APART_Z, Population, population, trend, z_scores
 
 SCHEMA = "fiohost.fleet/1"
 LEFT = "window_rms"
@@ -78,12 +78,10 @@ def summarised(rows: Sequence[Mapping[str, Any]]) -> Fleet:
     good = [r for r in rows if not r.get("error")]
     names = tuple(Counter(tuple(r["names"]) for r in good).most_common(1)[0][0]) if good else ()
     of = [str(r.get("said", {}).get("type", "")) for r in rows]
-    z, types, known = np.full((len(rows), len(names) + 1), np.nan), {}, list(rows)
+    z, types = np.full((len(rows), len(names) + 1), np.nan), {}
     for name in sorted(set(of)):
         places = [i for i, t in enumerate(of) if t == name]
-        own = calibrated([rows[i] for i in places])
-        for i, row in zip(places, own, strict=True):
-            known[i] = row
+        own = [rows[i] for i in places]
         z[places] = z_scores(own, names)
         found = population(own)
         if found is not None and found.names == names:
@@ -91,11 +89,11 @@ def summarised(rows: Sequence[Mapping[str, Any]]) -> Fleet:
     order, order_name = _order(rows)
     trends = {}
     for k, name in enumerate((*names, LEFT)):
-        values = np.array([_value(r, name, names) for r in known])
+        values = np.array([_value(r, name, names) for r in rows])
         there = trend(order, values) if order_name and k < len(names) + 1 else None
         if there is not None and there["p"] < DRIFT_P / (len(names) + 1):
             trends[name] = there
-    return Fleet(known, names, z, types, order, order_name, trends)
+    return Fleet(rows, names, z, types, order, order_name, trends)
 
 
 def _value(row: Mapping[str, Any], name: str, names: Sequence[str]) -> float:

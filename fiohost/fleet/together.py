@@ -8,7 +8,6 @@ what it does not know of itself (empirical Bayes; Efron and Morris 1975).
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +18,6 @@ ROUNDS = 200
 SETTLED = 1e-6
 # Of fewer motors no population is made.
 LEAST_MOTORS = 5
-# So much of the largest and of the smallest inflations is left out of their mean.
-TRIMMED = 0.1
 # A normal distribution's standard deviation by its median absolute deviation.
 MAD = 1.4826
 # Robust z-score from which a motor stands apart: by chance one good motor in a thousand does, with five parameters.
@@ -84,30 +81,6 @@ def _inner(scale: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> tup
         part = np.ix_(known, known)
         information[part] = np.linalg.pinv(own[part], hermitian=True)
     return np.where(known, inner, 0.0), information
-
-
-def calibrated(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The rows with covariances as wide as what their fits leave says of all of them together.
-
-    What wanders for longer than a reading, as a torque on the shaft, makes least squares too sure by a factor that is
-    much the same for all motors of a type, and that a short log alone cannot tell. Extremes of it are left out.
-    """
-    of = [r for r in rows if r.get("inflation") is not None]
-    if not of:
-        return [dict(r) for r in rows]
-    most = Counter(tuple(r["names"]) for r in of).most_common(1)[0][0]
-    known = np.sort([r["inflation"] for r in of if tuple(r["names"]) == most], axis=0)
-    cut = int(TRIMMED * len(known))
-    factor = dict(zip(most, np.sqrt(np.maximum(known[cut : len(known) - cut].mean(axis=0), 1.0)), strict=True))
-
-    def wide(row: Mapping[str, Any]) -> dict[str, Any]:
-        if row.get("inflation") is None:
-            return dict(row)
-        own = np.array([factor.get(name, 1.0) for name in row["names"]])
-        covariance = np.array(row["covariance"], dtype=np.float64) * np.outer(own, own)
-        return {**row, "covariance": covariance.tolist(), "inflation": None}
-
-    return [wide(row) for row in rows]
 
 
 def population(rows: Sequence[Mapping[str, Any]]) -> Population | None:

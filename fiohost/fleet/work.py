@@ -6,13 +6,12 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-SCHEMA = "fiohost.fleet_bench/2"
+SCHEMA = "fiohost.fleet_bench/3"
 ALL, NONE = "all", "none"
 
 
@@ -77,44 +76,30 @@ def _done(folder: Path, contents: Mapping[str, bytes], logs: int, settings: Sett
 def fitted(model: Any, records: Any) -> dict[str, Any]:
     """The declared model fitted to one bench's records: free parameters (k) with their covariance (k, k).
 
-    The covariance is that of least squares, what is left in a window of 1 s being as good as some readings that err
-    apart: a few seconds are too few pieces for their scatter to say it. ``inflation`` (k) is what their scatter says
-    all the same, for the fleet to take together: the variance by it over that one.
+    Windows are weighed by the noise that the fit leaves itself, a torque that lasts from one to the next with it; the
+    covariance is what such weights say.
     """
-    from fiohost.discover.own_start import SETTINGS
+    from fiohost.discover.whitened import settle
     from fiohost.estimation.fit import fit_from_scratch
 
-    found = fit_from_scratch(model.on_axis(records[0].rotary), records, keep_start=model.given, windows=True)
+    plain = fit_from_scratch(model.on_axis(records[0].rotary), records, keep_start=model.given, windows=True)
+    settled = settle(plain, records)
+    found = settled.fit
     columns = np.vstack(found.jacobians)
     sizes = np.linalg.norm(columns, axis=0)
     ok, scale = sizes > 0.0, np.where(sizes > 0.0, sizes, 1.0)
-    apart = sum(len(r.windows) - 1 for r in records) * SETTINGS.readings_a_window
-    pulls = _pulls(found, records, scale)
-    pieces = len(pulls)
-    # Of small samples, as by MacKinnon and White (1985): a fit to five windows takes much of what its errors leave.
-    small = pieces / max(pieces - len(scale), 1)
-    variance = small * found.rms**2 * max(found.samples / apart, 1.0)
     inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12, hermitian=True)
-    cov = variance * inverse / np.outer(scale, scale)
-    # Cluster-robust, windows being the clusters (Liang and Zeger 1986).
-    robust, claimed = small * np.sum((pulls @ inverse) ** 2, axis=0), variance * np.diag(inverse)
-    known = ok & (claimed > 0.0)
-    inflation = np.divide(robust, claimed, out=np.ones_like(robust), where=known).tolist() if known.any() else None
+    covariance = inverse / np.outer(scale, scale)
     return {
         "names": list(found.names),
         "values": [found.model.number(n) for n in found.names],
-        "covariance": np.where(np.outer(ok, ok), cov, np.nan).tolist(),
-        "inflation": inflation,
-        "window_rms": found.rms,
+        "covariance": np.where(np.outer(ok, ok), covariance, np.nan).tolist(),
+        "window_rms": settled.bare.rms,
+        "noise": {"sensor": settled.noise.sensor.value, "torque_pct": settled.noise.torque_pct.value,
+                  "torque_s": settled.noise.torque_s.value},
         "unit": records[0].unit,
         "log_s": float(sum(r.seconds for r in records)),
-    }
-
-
-def _pulls(found: Any, records: Any, scale: np.ndarray) -> np.ndarray:
-    """How what is left in each window pulls at the parameters (windows, k), in units of one over ``scale`` (k)."""
-    parts = zip(records, found.jacobians, found.residuals, strict=True)
-    return np.array([c[a:b].T @ e[a:b] / scale for r, c, e in parts for a, b in pairwise(r.windows)])
+    }  # fmt: skip
 
 
 def _said(metadata: Mapping[str, str]) -> dict[str, str]:

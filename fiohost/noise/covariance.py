@@ -2,10 +2,14 @@
 
 The motor is ``tau w' + w = K d``; the torque d, in percent of duty, is held from sample to sample and is an
 Ornstein-Uhlenbeck process of standard deviation sigma_p and correlation time tau_d (Uhlenbeck and Ornstein 1930).
-While the shaft stands, a torque does nothing and what it did to the speed is gone.
+While the shaft stands, a torque does nothing and what it did to the speed is gone. Where it turns against dry friction,
+what a torque did to its speed changes by how the acceleration does: it turns sooner or later, and from then on another
+torque acts (the saltation of Aizerman and Gantmakher 1958).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,78 +21,75 @@ REST, DRIVEN, COASTS = 0, 1, 2
 OPEN = 1e3
 
 
-def response(times_s: np.ndarray, moving: np.ndarray, gain: float, tau_s: float, kind: int) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """How a shaft moves from each sample to the next: at rest, driven or coasting (``how``, n), and which share it
+    keeps there (``keeps``, n) of what is off in its speed, beside what its lag takes.
+    """
+
+    how: np.ndarray
+    keeps: np.ndarray
+
+    @classmethod
+    def steady(cls, samples: int) -> Movement:
+        """Driven on all the way."""
+        return cls(np.full(samples, DRIVEN), np.ones(samples))
+
+    def part(self, first: int, end: int) -> tuple[np.ndarray, np.ndarray]:
+        """Both from one sample to before another."""
+        return self.how[first:end], self.keeps[first:end]
+
+
+def response(times_s: np.ndarray, moving: Movement, gain: float, tau_s: float, kind: int) -> np.ndarray:
     """Output (n, n) at each time, in its unit, of a torque of 1 % from each sample to the next.
 
-    ``times_s`` (n); ``moving`` (n) says how the shaft moves from this sample to the next: at rest, driven or coasting;
-    ``gain`` in the output's unit per second and percent, or per percent of a speed; ``kind`` of output: angle, speed or
-    mean speed.
+    ``times_s`` (n); ``gain`` in the output's unit per second and percent, or per percent of a speed; ``kind`` of
+    output: angle, speed or mean speed.
     """
     n = len(times_s)
     speed, angle = np.zeros((n, n)), np.zeros((n, n))
-    _responses(times_s, moving, gain, tau_s, angle, speed)
+    _responses(times_s, moving.how, moving.keeps, gain, tau_s, angle, speed)
     return _seen(times_s, angle, speed, kind)
 
 
-def driven_output(
-    times_s: np.ndarray, moving: np.ndarray, torque_pct: np.ndarray, gain: float, tau_s: float, kind: int
-) -> np.ndarray:
-    """Output (n) that a torque (n) makes, as ``response`` has it, along a whole run."""
-    angle, speed = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
-    _driven(times_s, moving, torque_pct, gain, tau_s, angle[:, 0], speed[:, 0])
-    return _seen(times_s, angle, speed, kind)[:, 0]
-
-
 @inlined
-def _step(step, how, tau_s):  # type: ignore[no-untyped-def]
+def step_of(step, how, tau_s):  # type: ignore[no-untyped-def]
     """Lag of a shaft that moves so, and how far one of unit speed goes in a ``step``."""
     lag = tau_s * (OPEN if how == COASTS else 1.0)
     return lag, -lag * np.expm1(-step / lag)
 
 
 @compiled
-def _responses(times_s, moving, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+def _responses(times_s, how, keeps, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
     for k in range(len(times_s) - 1):
         step = times_s[k + 1] - times_s[k]
         for i in range(k):
             angle[k + 1, i] = angle[k, i]
-        if moving[k] != REST:
-            lag, goes = _step(step, moving[k], tau_s)
+        if how[k] != REST:
+            lag, goes = step_of(step, how[k], tau_s)
             full = gain * lag / tau_s
             for i in range(k):
-                angle[k + 1, i] += goes * speed[k, i]
-                speed[k + 1, i] = (1.0 - goes / lag) * speed[k, i]
+                angle[k + 1, i] += 0.5 * (1.0 + keeps[k]) * goes * speed[k, i]
+                speed[k + 1, i] = keeps[k] * (1.0 - goes / lag) * speed[k, i]
             angle[k + 1, k] = full * (step - goes)
             speed[k + 1, k] = full * goes / lag
 
 
 @compiled
-def _follows(times_s, moving, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+def _follows(times_s, how, keeps, tau_s, angle, speed):  # type: ignore[no-untyped-def]
     for k in range(len(times_s) - 1):
         angle[k + 1] = angle[k]
-        if moving[k] != REST:
-            lag, goes = _step(times_s[k + 1] - times_s[k], moving[k], tau_s)
-            angle[k + 1] += goes * speed[k]
-            speed[k + 1] = (1.0 - goes / lag) * speed[k]
+        if how[k] != REST:
+            lag, goes = step_of(times_s[k + 1] - times_s[k], how[k], tau_s)
+            angle[k + 1] += 0.5 * (1.0 + keeps[k]) * goes * speed[k]
+            speed[k + 1] = keeps[k] * (1.0 - goes / lag) * speed[k]
 
 
-@compiled
-def _driven(times_s, moving, torque_pct, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
-    for k in range(len(times_s) - 1):
-        step = times_s[k + 1] - times_s[k]
-        angle[k + 1] = angle[k]
-        if moving[k] != REST:
-            lag, goes = _step(step, moving[k], tau_s)
-            full = gain * lag / tau_s * torque_pct[k]
-            angle[k + 1] += goes * speed[k] + full * (step - goes)
-            speed[k + 1] = (1.0 - goes / lag) * speed[k] + full * goes / lag
-
-
-def starts(times_s: np.ndarray, moving: np.ndarray, tau_s: float, kind: int) -> np.ndarray:
+def starts(times_s: np.ndarray, moving: Movement, tau_s: float, kind: int) -> np.ndarray:
     """Columns (n, 1..2) by which the output follows the angle and the speed at the first sample."""
     speed, angle = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
     speed[0] = 1.0
-    _follows(times_s, moving, tau_s, angle[:, 0], speed[:, 0])
+    _follows(times_s, moving.how, moving.keeps, tau_s, angle[:, 0], speed[:, 0])
     by_speed = _seen(times_s, angle, speed, kind)
     if kind == MEAN_SPEED:  # the first was measured before the window began
         return np.column_stack((by_speed, np.arange(len(times_s)) == 0))

@@ -141,7 +141,7 @@ def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) 
     """Of pieces of n samples: the basis (n, m) outside their starts in which the torque's covariance is diagonal, and
     that diagonal (m) for 1 % and a motor of unit gain.
     """
-    times, moving = np.arange(n) * step_s, np.full(n, covariance.DRIVEN)
+    times, moving = np.arange(n) * step_s, covariance.Movement.steady(n)
     free = covariance.outside(covariance.starts(times, moving, tau_s, kind))
     acts = free.T @ covariance.response(times, moving, 1.0, tau_s, kind)
     values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)

@@ -46,6 +46,9 @@ class NoiseSettings:
     run_deviance: float = 6.63
     # So many draws of what the noise may be: bootstrap samples take theirs from them.
     likely: int = 64
+    # A window's start goes by readings that a random torque has not moved far yet, one of no more than this: while much
+    # is missing it holds that too, and a start that follows a few readings turns where the shaft does not.
+    most_at_start_pct: float = 1.0
     # Lags of the whiteness test: a tenth of a window at 200 Hz.
     lags: int = 20
     # A window's autocorrelation counts for so many standard deviations at most.

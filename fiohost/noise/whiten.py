@@ -1,96 +1,70 @@
-"""Windows whitened by the covariance of the noise, and whether what is left is white."""
+"""Windows whitened by the noise, and whether what is left is white."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
-from fiohost.noise import covariance
+from fiohost.noise.covariance import MEAN_SPEED, REST, Movement
 from fiohost.noise.estimate import Motor, Noise
+from fiohost.noise.innovations import COUNTED, LINKS, STATES, filters, follow, innovations
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
-
-@dataclass(frozen=True)
-class _Alike:
-    """Windows of one covariance: their first samples (m), what whitens a window (n, n), and the logarithm of the
-    covariance's determinant outside what its start can take.
-    """
-
-    firsts: np.ndarray
-    whitens: np.ndarray = field(repr=False)
-    log_determinant: float
+# Of fewer samples a window's own start takes all.
+FEWEST = 3
 
 
 class Whitener:
     """Whitens series over a record's windows, and takes out of each what its own angle and speed at its beginning could
-    take: what is left of a true model has unit variance outside these.
+    take: what is left of a true model has unit variance outside these. ``sure`` (n) is one over the variance of each
+    reading from a known start.
+
+    For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n), in which the shaft moves as ``moving``
+    says; ``weights`` (n) are those by which counts that err alike are weighed together.
     """
 
-    def __init__(self, alike: Sequence[_Alike]) -> None:
-        self._alike = alike
-        self.log_determinant = sum(len(part.firsts) * part.log_determinant for part in alike)
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         times_s: np.ndarray,
-        moving: np.ndarray,
+        moving: Movement,
         weights: np.ndarray,
         firsts: np.ndarray,
         lasts: np.ndarray,
         motor: Motor,
         noise: Noise,
-    ) -> Whitener:
-        """For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n); ``moving`` (n) says how the shaft
-        moves from a sample to the next, ``weights`` (n) by what counts that err alike are weighed together.
-        """
-        places: dict[bytes, list[int]] = {}
-        spans: dict[bytes, int] = {}
-        for a, b in zip(firsts.tolist(), lasts.tolist(), strict=True):
-            steps = np.rint(np.diff(times_s[a:b]) / motor.step_s * 20.0).astype(np.int32)
-            key = steps.tobytes() + moving[a:b].tobytes() + weights[a:b].tobytes()
-            places.setdefault(key, []).append(a)
-            spans[key] = b
-        alike = []
-        for key, found in places.items():
-            a, b = found[-1], spans[key]
-            alike.append(_Alike(np.array(found), *_whitening(times_s[a:b], moving[a:b], weights[a:b], motor, noise)))
-        return cls(alike)
+    ) -> None:
+        long = lasts - firsts >= FEWEST
+        firsts, lengths = firsts[long].astype(np.int64), (lasts - firsts)[long].astype(np.int64)
+        places = np.cumsum(lengths) - lengths
+        self._rows = np.repeat(firsts - places, lengths) + np.arange(int(lengths.sum()))
+        n, states = len(self._rows), COUNTED if motor.kind == MEAN_SPEED else STATES
+        begins = np.zeros(n, dtype=bool)
+        begins[places] = True
+        self._weights, self._links = weights[self._rows], np.zeros((n, LINKS))
+        torque, count = noise.torque_pct.value**2, motor.quantum**2 / 12.0
+        at_start = min(noise.torque_pct.value, SETTINGS.most_at_start_pct) ** 2
+        follow(
+            times_s, moving.how, moving.keeps, self._rows, begins, motor.gain, motor.tau_s, motor.kind,
+            noise.torque_s.value, self._links,
+        )  # fmt: skip
+        own = np.full(n, noise.sensor.value**2)
+        own += 0.0 if motor.kind == MEAN_SPEED else count / self._weights**2
+        self._gains, self._scales, sure = np.zeros((n, states)), np.zeros(n), np.ones(n)
+        determinant = filters(
+            self._weights, begins, moving.how[self._rows] == REST, self._links, own, count, torque, at_start,
+            motor.kind, motor.tau_s, self._gains, self._scales, sure, np.zeros((states, states)),
+        )  # fmt: skip
+        self.log_determinant = float(determinant)
+        self.sure = np.ones(len(times_s))
+        self.sure[self._rows] = sure
 
     def apply(self, series: np.ndarray) -> np.ndarray:
         """A series (n) or several (n, k) of the record, whitened; zero outside the windows."""
-        out = np.zeros_like(series, dtype=np.float64)
-        for part in self._alike:
-            n = len(part.whitens)
-            rows = part.firsts[None, :] + np.arange(n)[:, None]
-            taken = series[rows]  # (n, m) or (n, m, k)
-            out[rows] = (part.whitens @ taken.reshape(n, -1)).reshape(taken.shape)
-        return out
-
-
-def _whitening(
-    times_s: np.ndarray, moving: np.ndarray, weights: np.ndarray, motor: Motor, noise: Noise
-) -> tuple[np.ndarray, float]:
-    n = len(times_s)
-    if n < 3:
-        return np.zeros((n, n)), 0.0  # its own start takes all of it
-    own = covariance.counts(n, motor.quantum, motor.kind) / np.outer(weights, weights)
-    own += noise.sensor.value**2 * np.eye(n)
-    if noise.torque_pct.value > 0.0 and moving.any():
-        acts = covariance.response(times_s, moving, motor.gain, motor.tau_s, motor.kind) * noise.torque_pct.value
-        own = own + acts @ covariance.torque(times_s, noise.torque_s.value) @ acts.T
-    own[np.diag_indices(n)] += 1e-9 * float(np.trace(own)) / n + 1e-300
-    root = np.linalg.cholesky(own)
-    inverse = solve_triangular(root, np.eye(n), lower=True, check_finite=False)
-    starts = covariance.starts(times_s, moving, motor.tau_s, motor.kind)
-    columns, triangle = np.linalg.qr(inverse @ starts)
-    sizes = np.abs(np.diag(triangle)) / np.maximum(np.abs(np.diag(np.linalg.qr(starts)[1])), 1e-300)
-    taken = 2.0 * float(np.log(np.maximum(sizes, 1e-300)).sum())  # restricted likelihood (Harville 1974)
-    determinant = 2.0 * float(np.log(np.diag(root)).sum()) + taken
-    return np.asarray(inverse - columns @ (columns.T @ inverse)), determinant
+        columns = np.ascontiguousarray(series, dtype=np.float64).reshape(len(series), -1)
+        out, states = np.zeros_like(columns), np.zeros((self._gains.shape[1], columns.shape[1]))
+        innovations(columns, self._rows, self._links, self._weights, self._gains, self._scales, states, out)
+        return out.reshape(series.shape)
 
 
 def unevenness(

@@ -13,7 +13,7 @@ from fiohost.estimation.record import Record, cut_windows
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.noise.covariance import DRIVEN
+from fiohost.noise.covariance import Movement
 from fiohost.noise.estimate import Motor, Noise
 from fiohost.noise.runs import varied
 from fiohost.noise.whiten import Whitener
@@ -52,7 +52,8 @@ class Whitening:
         if key not in self._known:
             n = len(times_s)
             ends = (np.array([0]), np.array([n]))
-            self._known[key] = Whitener.of(times_s, np.full(n, DRIVEN), np.ones(n), *ends, self.motor, self.noise)
+            steady = Movement.steady(n)
+            self._known[key] = Whitener(times_s, steady, np.ones(n), *ends, self.motor, self.noise)
         return self._known[key].apply(series)
 
 
