@@ -77,7 +77,7 @@ def searched(
         if not whole.explains(again):
             again = Node(runs.finished(again.state), seen.added)
         if whole.explains(again):
-            again = whole.exchanged(again, last=not runs.only_counts(again.state))
+            again = whole.exchanged(again, root=None if runs.only_counts(again.state) else root)
         else:
             again = whole.run(again)
         if whole.explains(again):

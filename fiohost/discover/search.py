@@ -149,21 +149,22 @@ class Search(Generic[J]):
                 break  # beside the best one nothing is missing
         return list(grown.values())
 
-    def exchanged(self, best: Node, *, last: bool = False) -> Node:
+    def exchanged(self, best: Node, *, root: Node | None = None) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
-        were missing. The ``last`` too, where other evidence chose it. Beside what an exact fit does not follow nothing
-        can be told by it, nor by windows what whole runs are to be asked. No other one begins anew: it would have to do
-        as well as one that is there.
+        were missing. The last too, where other evidence chose it: alone it is asked for from the ``root``. Beside what
+        an exact fit does not follow nothing can be told by it, nor by windows what whole runs are to be asked. No other
+        one begins anew: it would have to do as well as one that is there.
         """
         if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
-        for earlier in best.added if last else best.added[:-1]:
+        for earlier in best.added if root else best.added[:-1]:
             if earlier not in best.added:
                 continue
             name = earlier.child.name
             self.say(f"{name}, asked for again beside the others")
-            less = self.evidence.without(best.state, name)
-            rest = Node(less, tuple(a for a in best.added if a is not earlier))
+            others = tuple(a for a in best.added if a is not earlier)
+            # What is fitted without a name that was mistaken keeps to where that had led.
+            rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
             told = self.told
             first = self.best_first([*self.expand(rest, anew=False), best])[0]
             self.told = told
