@@ -86,7 +86,7 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
 @pytest.fixture(scope="module")
 def axis() -> Diagnosis:
     """Declared without any friction: weights take that for a torque of 3.5 % that wanders slowly."""
-    return diagnose_records([to_and_fro(2), to_and_fro(52)], [to_and_fro(102)], Model(), library=LIBRARY)
+    return diagnose_records([to_and_fro(5), to_and_fro(55)], [to_and_fro(102)], Model(), library=LIBRARY)
 
 
 def test_friction_that_weights_take_for_a_wandering_torque_is_named(axis: Diagnosis) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
-from fiohost.estimation.predict import Begun, Flat, speed_step, turned_deg, windowed
+from fiohost.estimation.predict import Flat, speed_step, turned_deg, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run
@@ -20,10 +20,10 @@ from fiohost.noise.runs import varied
 WHITENING = SETTINGS.whitening
 
 
-def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray, Begun]:
-    """What windows leave (n), the speed (n) in them, and where they begin."""
+def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray]:
+    """What windows leave (n), and the speed (n) in them."""
     plain = replace(record, disturbance=None, every=1)
-    residual, begun = windowed(plain, Flat.of(model), start)
+    residual, _ = windowed(plain, Flat.of(model), start)
     speed = record.y - residual
     if record.kind == ANGLE:
         steps = np.diff(speed) / np.diff(record.excitation.times_s)
@@ -31,7 +31,7 @@ def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np
         within[record.windows[1:-1] - 1] = False  # from one window to the next it jumps
         before = np.maximum.accumulate(np.where(within, np.arange(len(steps)), 0))
         speed = np.append(steps[before], steps[before[-1]])
-    return residual, speed, begun
+    return residual, speed
 
 
 def coasting(record: Record) -> np.ndarray:

@@ -92,7 +92,7 @@ def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record], r
     found: list[Group] = []
     for record, start in zip(records, starts, strict=True):
         own = varied(model, runs.by_run.get(run_of(record.name), np.zeros(3)))
-        residual, speed, _ = simulated_in_windows(record, own, start)
+        residual, speed = simulated_in_windows(record, own, start)
         motor = motor_of(record, model)
         driven = np.where(coasting(record), 0.0, speed)
         found += grouped(pieces(residual, driven, record.windows, motor), motor)

@@ -95,11 +95,9 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
         "values": [found.model.number(n) for n in found.names],
         "covariance": np.where(np.outer(ok, ok), covariance, np.nan).tolist(),
         "window_rms": settled.bare.rms,
-        "noise": {"sensor": settled.noise.sensor.value, "torque_pct": settled.noise.torque_pct.value,
-                  "torque_s": settled.noise.torque_s.value},
         "unit": records[0].unit,
         "log_s": float(sum(r.seconds for r in records)),
-    }  # fmt: skip
+    }
 
 
 def _said(metadata: Mapping[str, str]) -> dict[str, str]:

@@ -35,10 +35,6 @@ class Movement:
         """Driven on all the way."""
         return cls(np.full(samples, DRIVEN), np.ones(samples))
 
-    def part(self, first: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-        """Both from one sample to before another."""
-        return self.how[first:end], self.keeps[first:end]
-
 
 def response(times_s: np.ndarray, moving: Movement, gain: float, tau_s: float, kind: int) -> np.ndarray:
     """Output (n, n) at each time, in its unit, of a torque of 1 % from each sample to the next.
