@@ -74,6 +74,27 @@ def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     assert judge(warm, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
 
 
+@pytest.mark.parametrize("windows", [True, False])
+@pytest.mark.parametrize(
+    ("swings", "size"),
+    [
+        ({"cogging_torque.order": 7.0, "cogging_torque.level_pct": 1.5, "cogging_torque.phase_deg": 40.0}, 1.5),
+        ({"gravity_load.level_pct": 3.0, "gravity_load.phase_deg": 160.0}, 3.0),
+    ],
+)  # fmt: skip
+def test_what_swings_is_found_from_the_opposite_phase(swings: dict[str, float], size: float, windows: bool) -> None:
+    """The way there is through zero, where no phase leads on."""
+    name = next(iter(swings)).partition(".")[0]
+    ((level, phase),) = ((f"{name}.{s}", f"{name}.{p}") for s, p in effect(name).couples)
+    truth, rng = truth_model(("coulomb_friction", name), swings), np.random.default_rng(4)
+    record = measure(truth, steps(20.0, rng), rng)
+    opposite = truth.with_values({level: 0.3 * size, phase: swings[phase] - 180.0})
+    found = fit(opposite, [record], windows=windows)
+    assert found.model.number(level) == pytest.approx(size, rel=0.1)
+    off = (found.model.number(phase) - swings[phase] + 180.0) % 360.0 - 180.0
+    assert off == pytest.approx(0.0, abs=6.0)
+
+
 @pytest.mark.parametrize("warmth", [0.5, 0.7])
 def test_a_warmth_of_which_windows_say_little_is_found_by_the_whole_run(warmth: float) -> None:
     """Braked between short pulses, friction counts for little in the windows that are looked at first."""

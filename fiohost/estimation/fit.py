@@ -92,16 +92,31 @@ class _Problem:
         self.records = records
         self.windows = windows
         self.base = Flat.of(model)
-        self.names = tuple(model.free())
+        self.names, phased = tuple(model.free()), model.phased()
         self.slots = np.array([slot(n) for n in self.names], dtype=np.int64)
         parameters = [model.parameter(n) for n in self.names]
         self.lower = np.array([q.lower for q in parameters])
         self.upper = np.array([q.upper for q in parameters])
+        # A size that swings has no sign: below zero it is another phase, else no phase would lead on from zero.
+        phases = [phased.get(n) for n in self.names]
+        self.phases = np.array([slot(p) if p in self.names else -1 for p in phases], dtype=np.int64)
+        self.lower = np.where(self.phases >= 0, -self.upper, self.lower)
         self.steps = np.array([q.step for q in parameters])
         self.relative = np.array([q.relative_step for q in parameters])
 
     def flat(self, p: np.ndarray) -> Flat:
         return self.base.at(p)
+
+    def upright(self, solved: _Solved) -> _Solved:
+        """A solution with what swings above zero: below it, by half a turn of its phase."""
+        p = solved.point.p.copy()
+        below = (self.phases >= 0) & (p[self.slots] < 0.0)
+        if not below.any():
+            return solved
+        p[self.phases[below]] += 180.0
+        p[self.slots[below]] *= -1.0
+        signs = np.where(below, -1.0, 1.0)
+        return solved._replace(point=replace(solved.point, p=p), jacobians=[j * signs for j in solved.jacobians])
 
     def residuals(self, point: _Point) -> list[np.ndarray]:
         flat = self.flat(point.p)
@@ -286,7 +301,7 @@ def fit(
         if other.cost >= solved.cost:
             break  # what suits the beginnings of the runs best does not suit the whole of them
         solved = other
-    point, residuals, jacobians, nuisances, cost, converged = solved
+    point, residuals, jacobians, nuisances, cost, converged = problem.upright(solved)
     return Fit(
         model=_as_model(model, problem.names, point.p),
         names=problem.names,

@@ -167,6 +167,10 @@ class Model:
         """Names of the parameters to be estimated by gradients: not fixed, neither choices nor whole numbers."""
         return [k for k in self.values if k not in self.fixed and self.parameter(k).is_smooth]
 
+    def phased(self) -> dict[str, str]:
+        """Names of the sizes that swing, with that of the phase of each."""
+        return {f"{e}.{size}": f"{e}.{phase}" for e in self.effects for size, phase in effect(e).couples}
+
     def number(self, key: str) -> float:
         value = self.values[key]
         if isinstance(value, str):
