@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.noise.estimate import NONE
+from fiohost.noise.estimate import NONE, Ranged
+from fiohost.noise.runs import RunToRun
 
 STEP_S = 0.005
 FITTED = Model(
@@ -46,6 +49,22 @@ def test_gain_friction_load_and_dead_time_of_a_run_come_from_its_beginning() -> 
     assert told["transport_delay.delay_s"] == pytest.approx(0.004, abs=0.001)
     assert found.own.errors.window_rms < 0.3 * found.cold.errors.window_rms
     assert found.own.errors.free_run_rms < 0.1 * found.cold.errors.free_run_rms
+
+
+def test_what_runs_of_the_bench_do_not_differ_by_is_not_the_own_of_one() -> None:
+    """At one speed a load that helps would do for a gain, and drive a motor that has no friction on and on."""
+    model = FITTED.without(["coulomb_friction"]).with_effect("bridge_voltage_drop", {"drop_pct": 2.0})
+    n = round(24.0 / STEP_S)
+    times, duty = np.arange(n) * STEP_S, np.full(n, 70.0)
+    bare = make_record("held", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
+    y = free_output(bare, Flat.of(model.with_values({"linear.gain_deg_s_per_pct": 10.1})), Start(0.0, 0.0))
+    record = make_record("held", times, duty, np.floor(y / 0.5) * 0.5 + 0.25, quantum=0.5, at_rest=True)
+    noise = replace(NONE, torque_pct=Ranged(0.4, 0.4, 0.4), torque_s=Ranged(0.05, 0.05, 0.05))
+    noise = replace(noise, runs=RunToRun(np.array([0.01, 0.0, 0.0]), np.zeros((3, 2))))
+    (found,) = own_starts([record], model, noise)
+    assert found is not None
+    assert found.values["constant_load.level_pct"][0] == 0.0
+    assert found.own.errors.free_run_rms <= 1.01 * found.cold.errors.free_run_rms
 
 
 def test_what_comes_after_the_beginning_decides_nothing() -> None:

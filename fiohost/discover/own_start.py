@@ -18,12 +18,13 @@ from fiohost.discover.metrics import Judgement, judge, pool
 from fiohost.discover.movement import movement, moving
 from fiohost.discover.whitened import with_noise
 from fiohost.discover.workers import each
-from fiohost.estimation.fit import fit
+from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.initial import has_own_zero
 from fiohost.estimation.predict import Flat
 from fiohost.estimation.record import SHORTEST, Record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, NO_SCATTER, RunToRun
 
@@ -113,16 +114,17 @@ def _keys(model: Model) -> list[str]:
     return [GAIN_KEY, *(key for key in FRICTIONS if key in model.values), LOAD_KEY, DELAY_KEY]
 
 
-def _spread(key: str, model: Model, record: Record, runs: RunToRun, settings: OwnSettings) -> float:
-    """How far (standard deviation) a run's own value lies from that of the model."""
-    known = runs.sd if runs.known else np.zeros(3)
-    if key == GAIN_KEY:
-        return float(known[GAIN] or settings.gain_sd) * abs(model.number(key))
-    if key == LOAD_KEY:
-        return float(known[LOAD] or settings.load_sd_pct)
-    if key == DELAY_KEY:
-        return settings.delay_sd_ticks * record.sample_time_s
-    return float(known[FRICTION] or settings.friction_sd) * max(abs(model.number(key)), 1e-3)
+def _spreads(model: Model, tick_s: float, runs: RunToRun, settings: OwnSettings) -> dict[str, float]:
+    """How far (standard deviation) a run's own values lie from those of the model; those that do not differ are left
+    out. What training runs that differ do not differ by is theirs to say: a load of the run's own would else be the
+    likeliest reason of any other speed.
+    """
+    sd = np.array([settings.gain_sd, settings.friction_sd, settings.load_sd_pct])
+    sd = runs.sd if runs.known else sd
+    of = {GAIN_KEY: sd[GAIN] * abs(model.number(GAIN_KEY)), LOAD_KEY: sd[LOAD]}
+    of |= {key: sd[FRICTION] * max(abs(model.number(key)), 1e-3) for key in FRICTIONS if key in model.values}
+    of |= {DELAY_KEY: settings.delay_sd_ticks * tick_s}
+    return {key: float(value) for key, value in of.items() if value > 0.0 and key not in model.fixed}
 
 
 def _most_likely(record: Record, model: Model, noise: Noise, settings: OwnSettings) -> tuple[Model, float | None]:
@@ -131,31 +133,36 @@ def _most_likely(record: Record, model: Model, noise: Noise, settings: OwnSettin
         if name not in model.effects:
             parameter = effect(name).parameters[0]
             model = model.with_effect(name, {parameter.name: float(parameter.neutral or 0.0)})
-    keys = [key for key in _keys(model) if key not in model.fixed]
-    start = np.array([model.number(key) for key in keys])
-    precision = np.array([_spread(key, model, record, noise.runs, settings) for key in keys]) ** -2.0
+    spreads = _spreads(model, record.sample_time_s, noise.runs, settings)
+    keys, precision = list(spreads), np.array(list(spreads.values())) ** -2.0
+    mean = np.array([model.number(key) for key in keys])
     own = replace(model, fixed=frozenset(key for key in model.values if key not in keys))
     bare = replace(record, disturbance=None, every=1)
     begun = fit(own, [bare], windows=True, max_iterations=1, tolerance=ENDLESS).starts
     moves = movement([bare], own, begun, [moving(bare, own, begun[0], noise.torque_pct.value)])
     (record,) = with_noise([bare], own, replace(noise, runs=NO_SCATTER), moves)
-    lower, upper = np.array([(model.parameter(k).lower, model.parameter(k).upper) for k in keys]).T
-    here, starts, best = start, begun, (np.inf, start, 0.0)
-    for _ in range(settings.rounds):
+    lower, upper = (np.array([getattr(model.parameter(k), end) for k in keys]) for end in ("lower", "upper"))
+
+    def seen_at(here: np.ndarray, starts: Sequence[Start]) -> tuple[float, Fit]:
         at = own.with_values(dict(zip(keys, here.tolist(), strict=True)))
-        seen = fit(at, [record], windows=True, starts=starts, max_iterations=1, tolerance=ENDLESS)
-        cost = seen.cost + float(precision @ (here - start) ** 2)
-        if cost >= best[0]:
-            break
-        best = (cost, here, seen.starts[0].zero or 0.0)
-        starts = tuple(s._replace(zero=None) for s in seen.starts)  # a wrong speed drifts by more than the turn swings
+        # A wrong speed drifts by more than the turn swings, so that each speed has a zero of its own.
+        anew = [s._replace(zero=None) for s in starts]
+        seen = fit(at, [record], windows=True, starts=anew, max_iterations=1, tolerance=ENDLESS)
+        return seen.cost + float(precision @ (here - mean) ** 2), seen
+
+    here, (cost, seen) = mean, seen_at(mean, begun)
+    for _ in range(settings.rounds):
         columns = seen.jacobians[0][:, [seen.names.index(key) for key in keys]]
-        pull = columns.T @ seen.residuals[0] - precision * (here - start)
+        pull = columns.T @ seen.residuals[0] - precision * (here - mean)
         step = np.linalg.solve(columns.T @ columns + np.diag(precision), pull)
-        here = np.clip(here + step, lower, upper)
-    found = own.with_values(dict(zip(keys, best[1].tolist(), strict=True)))
-    zero = best[2] if has_own_zero(record, Flat.of(found)) else None
-    return replace(found, fixed=model.fixed), zero
+        there = np.clip(here + step, lower, upper)
+        next_cost, found = seen_at(there, seen.starts)
+        if next_cost >= cost:
+            break
+        here, cost, seen = there, next_cost, found
+    known = own.with_values(dict(zip(keys, here.tolist(), strict=True)))
+    zero = (seen.starts[0].zero or 0.0) if has_own_zero(record, Flat.of(known)) else None
+    return replace(known, fixed=model.fixed), zero
 
 
 def from_zero(model: Model, zero_deg: float) -> Model:
