@@ -19,8 +19,9 @@ from viscous import fitted_viscous
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.fit import LOOKS, Rows, fit_declared, fit_tables
+from fiohost.discover.tables.fit import LOOKS, Rows, fit_tables
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.starts import fit_declared
 from fiohost.discover.tables.worth import Worth, left_out_rms, scatter_needed
 from fiohost.labs.constants import TEXT
 from fiohost.labs.tables import Judged, judge, plot_rows

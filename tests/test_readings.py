@@ -21,7 +21,9 @@ from fiohost.control.closed_loop import Plant
 from fiohost.control.metrics import step_figures
 from fiohost.discover.tables.diagnose import diagnose_tables
 from fiohost.discover.tables.evidence import Row
+from fiohost.discover.tables.fit import Rows, fit_tables
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.starts import fit_declared
 from fiohost.discover.tables.steady import operate
 from fiohost.motor.model import Model
 
@@ -133,6 +135,23 @@ def test_figures_of_a_complete_model_claim_nothing(tmp_path: Path, seed: int) ->
     assert found.final.fit.model.number("coulomb_friction.level_pct") == pytest.approx(2.0, abs=0.5)
 
 
+def test_a_declared_model_is_fitted_past_the_jumps_of_figures(tmp_path: Path) -> None:
+    """Downhill from the best of a grid of gains and lags alone it stays at 16 times the floor."""
+    numbers = {"linear.gain_deg_s_per_pct": 12.187, "linear.tau_s": 0.104, "coulomb_friction.level_pct": 1.386}
+    data = Rows([table_of(TRUTH.with_values(numbers), tmp_path, 0)])
+    found = fit_declared(data, Model.parse("linear+coulomb_friction"), keep_start=False)
+    assert found.rms < 1.5
+
+
+def test_a_trial_that_runs_away_has_no_figures(tmp_path: Path) -> None:
+    numbers = {"linear.gain_deg_s_per_pct": 81.03, "linear.tau_s": 1.196, "coulomb_friction.level_pct": 71.85}
+    warms = {"ratio": 4.976, "time_constant_s": 1.0732, "follows": "heat"}
+    away = TRUTH.with_values(numbers).with_effect("gain_warm_up", warms)
+    table = table_of(TRUTH, tmp_path, 0)
+    assert any(np.isnan(list(table.predict(Plant.of(away), i, ()).values())).all() for i in range(len(table.rows)))
+    assert np.isfinite(fit_tables(Rows([table]), away, evaluations=0).cost)
+
+
 def test_a_hidden_gap_is_found_in_figures_and_rivals_that_leave_as_little_are_named(tmp_path: Path) -> None:
     truth = TRUTH.with_effect("backlash", {"gap_deg": 6.0, "load_inertia_ratio": 0.4, "side": "encoder_before_gap"})
     found = diagnose_tables(
@@ -198,6 +217,15 @@ def test_a_bridge_that_coasts_is_seen_in_a_curve_though_its_shape_is_no_size(tmp
 def test_a_straight_curve_lacks_nothing(tmp_path: Path) -> None:
     found = diagnose_readings([curve(tmp_path, lambda u: 9.3 * u, FORWARD)], "linear")
     assert found.verdict == "no_missing_effect"
+
+
+@pytest.mark.parametrize("tau_s", [0.01, 0.08, 1.16])
+def test_what_no_figure_shows_is_left_as_it_is_and_holds_no_fit_back(tmp_path: Path, tau_s: float) -> None:
+    table, _ = read_readings(curve(tmp_path, lambda u: 9.94 * min(u, 43.4), FORWARD))
+    begun = {"linear.gain_deg_s_per_pct": 6.1, "linear.tau_s": tau_s, "voltage_saturation.limit_pct": 60.0}
+    found = fit_tables(Rows([table]), Model(("voltage_saturation",), begun), evaluations=8)
+    assert found.model.number("linear.tau_s") == tau_s
+    assert found.rms < 1.5
 
 
 def test_one_row_that_is_off_proves_no_effect(tmp_path: Path) -> None:

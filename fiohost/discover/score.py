@@ -103,9 +103,13 @@ class Gain:
 
 def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Why a fitted effect cannot be believed by its parameters alone, or None; replicas as for ``estimates``."""
-    known = _smooth(found, name, replicas)
-    bounds = (_at_a_bound(p, value) for p, value in known)
-    return next((why for why in bounds if why), None) or _vanishing(found, name, known)
+    return at_a_bound(found, name, replicas) or _vanishing(found, name, _smooth(found, name, replicas))
+
+
+def at_a_bound(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
+    """Which parameter of a fitted effect went as far as it may, or None."""
+    bounds = (_at_a_bound(p, value) for p, value in _smooth(found, name, replicas))
+    return next((why for why in bounds if why), None)
 
 
 def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple[Parameter, Estimate]]:

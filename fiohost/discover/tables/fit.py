@@ -6,7 +6,7 @@ the constants of its bench: they are fitted alongside and their part is taken ou
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,20 +15,16 @@ from scipy.optimize import least_squares, minimize
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Constant, Figure, Row, Table
 from fiohost.estimation.fit import Fit, project
-from fiohost.motor.effect import Value
 from fiohost.motor.model import Model, slot
 
 # Figures jump where a response enters another band, so differences are taken wider than for the samples of a log.
 WIDER, CONSTANT_STEP = 100.0, 1e-4
-# Evaluations of a fit: of a candidate's trial, to the end, from a neighbour.
-ROUGH, FULL, AGAIN = 5, 40, 6
+# Evaluations of a fit: to the end, from a neighbour.
+FULL, AGAIN = 40, 6
 # A simplex takes so many looks, and begins so many times as wide as the error is worth, at most this share of a value.
 LOOKS, REACH, MOST_REACH = 120, 0.5, 0.2
 FAR_OFF = 1e9  # floors, in place of what is not finite
 SEEN = 1e-6
-START_GAINS = np.geomspace(0.5, 500.0, 13)
-START_LAGS_S = (0.02, 0.05, 0.1, 0.2, 0.5)
-STARTS = 4
 
 
 @dataclass(frozen=True)
@@ -141,34 +137,54 @@ class _Problem:
             self._last = x.copy(), np.concatenate(self.rows(x))
         return self._last[1]
 
-    def columns(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives (figures, parameters), one difference each, turned inward at a bound."""
+    def columns(self, x: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
+        """Derivatives (figures, parameters), one difference each, turned inward at a bound; of those ``among`` (k)."""
         base = self.values(x)
-        out = np.empty((len(base), len(x)))
-        for j in range(len(x)):
+        which = np.arange(len(x)) if among is None else np.flatnonzero(among)
+        out = np.empty((len(base), len(which)))
+        for k, j in enumerate(which.tolist()):
             step = self.steps[j] * (max(abs(x[j]), 1e-9) if self.relative[j] else 1.0)
             if x[j] + step > self.upper[j]:
                 step = -step
             moved = x.copy()
             moved[j] += step
-            out[:, j] = (np.concatenate(self.rows(moved)) - base) / step
+            out[:, k] = (np.concatenate(self.rows(moved)) - base) / step
         return out
+
+    def shown(self, x: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+        """Which numbers of a vector the figures show at all, and the vector with these replaced: the others stay, as
+        no step along them is known.
+        """
+        seen = np.linalg.norm(self.columns(x), axis=0) > SEEN
+
+        def whole(v: np.ndarray) -> np.ndarray:
+            out = x.copy()
+            out[seen] = v
+            return out
+
+        return seen, whole
 
     def solve(self, x: np.ndarray, measured: np.ndarray, evaluations: int, jumps: float = 0.0) -> np.ndarray:
         """The vector of least squares from a start, within bounds; errors beyond ``jumps`` floors weigh little where
         that is given (Cauchy's cost).
         """
-        if not len(x):
+        x = np.clip(x, self.lower, self.upper)
+        seen, whole = self.shown(x)
+        if not seen.any():
             return x
+        lower, upper = self.lower[seen], self.upper[seen]
 
         def left(v: np.ndarray) -> np.ndarray:
-            return np.asarray(self.values(v) - measured)
+            return np.asarray(self.values(whole(v)) - measured)
+
+        def columns(v: np.ndarray) -> np.ndarray:
+            return self.columns(whole(v), seen)
 
         found = least_squares(
             left,
-            np.clip(x, self.lower, self.upper),
-            jac=self.columns,
-            bounds=(self.lower, self.upper),
+            x[seen],
+            jac=columns,
+            bounds=(lower, upper),
             x_scale="jac",
             loss="cauchy" if jumps else "linear",
             f_scale=jumps or 1.0,
@@ -179,26 +195,19 @@ class _Problem:
         )
         solved = np.asarray(found.x)
         # An interior method stops just inside a bound.
-        near = 1e-6 * np.maximum(np.abs(x), 1e-3)
-        solved = np.where(solved - self.lower <= near, self.lower, solved)
-        return np.where(self.upper - solved <= near, self.upper, solved)
+        near = 1e-6 * np.maximum(np.abs(x[seen]), 1e-3)
+        solved = np.where(solved - lower <= near, lower, solved)
+        return whole(np.where(upper - solved <= near, upper, solved))
 
     def settle(self, x: np.ndarray, measured: np.ndarray, looks: int) -> np.ndarray:
         """A vector walked on by a simplex (Nelder and Mead), which jumps of the figures do not stop."""
-        if not len(x):
-            return x
-        reach = np.linalg.norm(self.columns(x), axis=0)
-        seen = reach > SEEN  # what no figure shows stays where it is
+        seen, whole = self.shown(x)
         if not seen.any():
             return x
+        reach = np.linalg.norm(self.columns(x), axis=0)
         size = REACH * np.sqrt(squares(self.values(x) - measured) + len(measured)) / np.maximum(reach, 1e-12)
         size = np.minimum(size, np.maximum(MOST_REACH * np.abs(x), self.steps))
         size = np.where(x + size > self.upper, -size, size)[seen]
-
-        def whole(v: np.ndarray) -> np.ndarray:
-            out = x.copy()
-            out[seen] = v
-            return out
 
         def left(v: np.ndarray) -> float:
             return squares(self.values(whole(v)) - measured)
@@ -280,23 +289,6 @@ def _fit_at(problem: _Problem, x: np.ndarray, measured: Sequence[np.ndarray], de
         constants=tuple(tuple(c) for c in constants),
         predicted=tuple(predicted),
     )
-
-
-def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
-    """Fit a declared model from scratch: the best of a grid of gains and lags, fitted on.
-
-    ``keep_start`` also begins with the model's own values, as when it was read from a file.
-    """
-    keys = ("linear.gain_deg_s_per_pct", "linear.tau_s")
-    gains: Sequence[Value] = START_GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
-    lags: Sequence[Value] = START_LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
-    grid = [model.with_values({keys[0]: gain, keys[1]: lag}) for gain in gains for lag in lags]
-    tried = sorted(grid, key=lambda m: squares(deviations(data, m, data.known())))[:STARTS]
-    if keep_start:
-        tried.append(model)
-    rough = [fit_tables(data, m, evaluations=ROUGH) for m in tried]
-    best = min(rough, key=lambda f: f.cost)
-    return fit_tables(data, best.model, constants=best.constants, looks=LOOKS)
 
 
 def deviations(data: Rows, model: Model, constants: Sequence[Sequence[float]]) -> np.ndarray:

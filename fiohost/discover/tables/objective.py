@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
-from fiohost.discover.floor import refitted
 from fiohost.discover.levels import levels_of
 from fiohost.discover.null import Null
-from fiohost.discover.score import Gain, objection
+from fiohost.discover.score import Gain, at_a_bound
 from fiohost.discover.tables.evidence import Table
-from fiohost.discover.tables.fit import LOOKS, Rows, TableFit, fit_declared, fit_tables, shown_by_one_row, without_row
-from fiohost.discover.tables.starts import downhill, held
+from fiohost.discover.tables.fit import Rows, TableFit, fit_tables, shown_by_one_row, without_row
+from fiohost.discover.tables.starts import begun_again, downhill, fit_declared, held, to_the_end
 from fiohost.discover.workers import each
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.motor.effect import Effect, effects
@@ -113,11 +113,13 @@ class Readings(Evidence[TableStage]):
         return at_floor or state is best or not self.gain(state, best).sure(self.settings)
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
+        """Whether a size may be none, the null and left-out rows say: by an interval it would hang on which other one
+        takes up what it does (Hauck and Donner 1977).
+        """
         fitted, name = self.fitted(state), names[0]  # those before it were asked about when they were added
         if not self.can_be_left_out(fitted):
             return "its parameters are more than the rows can settle when one of them is left out"
-        replicas = [refitted(fitted, self.rows.noise(self.rng)) for _ in range(self.settings.floor.replicas)]
-        return objection(fitted, name, replicas)
+        return at_a_bound(fitted, name)
 
     def unconfirmed(self, before: State, after: State, name: str) -> str | None:
         one = shown_by_one_row(self.fitted(after), name)
@@ -179,14 +181,11 @@ class TablesBeside:
             best = fits[i]
             fits[i] = fitted if best is None or fitted.cost < best.cost else best
 
-        def full(i: int) -> TableFit:
-            rough = fits[i]
-            assert rough is not None
-            return fit_tables(rows, rough.model, constants=rough.constants, looks=LOOKS)
-
-        near = self._near(fits, FAR)
-        for i, fitted in zip(near, each(full, near), strict=True):
-            fits[i] = fitted
+        for further, factor in ((to_the_end, FAR), (begun_again, HOPELESS)):
+            kept = [(i, found) for i in self._near(fits, factor) if (found := fits[i]) is not None]
+            carried = each(partial(further, rows), [found for _, found in kept])
+            for (i, _), fitted in zip(kept, carried, strict=True):
+                fits[i] = fitted
         self.fits = {item.name: fitted for item, fitted in zip(offered, fits, strict=True)}
         last = [(offered[i], fits[i]) for i in self._near(fits, HOPELESS)]
         self.best = [(item, self.readings.state(f)) for item, f in last if f is not None and f.jacobians]

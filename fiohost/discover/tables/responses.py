@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from fiohost.control.closed_loop import Loop, LoopRun, Plant, step_run
 from fiohost.control.metrics import step_figures
 from fiohost.discover.tables.evidence import Constant, Figure, Row
@@ -49,5 +51,7 @@ class Responses:
     def predict(self, plant: Plant, row: int, constants: Sequence[float]) -> Mapping[str, float]:
         response = self.responses[row]
         run = response.run(plant)
+        if not np.isfinite(run.angle_deg).all():  # a trial that runs away has no figures
+            return dict.fromkeys((figure.name for figure in self.figures), float("nan"))
         found = step_figures(run.time_s, run.angle_deg, response.from_deg, response.to_deg, self.times_of_target)
         return {figure.name: float(getattr(found, figure.name)) / figure.scale for figure in self.figures}

@@ -1,29 +1,36 @@
-"""Where to begin the fit of a candidate: figures of responses jump, so what lies downhill of one start says little.
+"""Where to begin a fit: figures of responses jump, so what lies downhill of one start says little.
 
-Sizes of the effect are tried around its trials, each with the rest of the model fitted to it; what stood in for the
-effect is off without it. From the best of these everything is fitted.
+Of a candidate, sizes are tried around its trials, each with the rest of the model fitted to it; what stood in for the
+effect is off without it. From the best of these everything is fitted. A declared model begins from a grid.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from fiohost.discover.screen import varied
-from fiohost.discover.tables.fit import Rows, TableFit, deviations, fit_tables
+from fiohost.discover.tables.fit import LOOKS, Rows, TableFit, deviations, fit_tables, squares
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 
 POINTS, BEST = 24, 2
 HELD, FREE = 3, 8  # evaluations of a fit with the effect's sizes held, and of all
 SPREAD = 0.5  # logarithm of how far from a trial a size may be
+AROUND, NEAR = 12, 0.1  # points, and of how far from where a fit came to it is begun again
 JUMP_FLOORS = 10.0
+GAINS = np.geomspace(0.5, 500.0, 13)
+LAGS_S = (0.02, 0.05, 0.1, 0.2, 0.5)
+OTHERS = (0.4, 1.0, 2.5)  # times what the library has of sizes beside these
+STARTS = 4
+ENOUGH = 2.0  # squared floors a figure: no other start is asked
 TRACE_FLOORS = 1e-3
 
 
-def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
+def spread(model: Model, keys: Sequence[str], points: int, far: float = SPREAD) -> list[Model]:
     """Copies of a model with the named numbers spread about their values, evenly (Roberts' R sequence)."""
     base = 2.0
     for _ in range(30):  # the only positive root of x**(d + 1) = x + 1
@@ -31,13 +38,20 @@ def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
     steps = base ** -np.arange(1.0, len(keys) + 1.0)
     found = []
     for i in range(points):
-        values: dict[str, Value] = {}
+        moved = model
         for key, at in zip(keys, (0.5 + i * steps) % 1.0, strict=True):
-            parameter = model.parameter(key)
-            size = model.number(key) * float(np.exp((2.0 * at - 1.0) * SPREAD))
-            values[key] = min(max(size, parameter.lower), parameter.upper)
-        found.append(model.with_values(values))
+            moved = scaled(moved, [key], float(np.exp((2.0 * at - 1.0) * far)))
+        found.append(moved)
     return found
+
+
+def scaled(model: Model, keys: Sequence[str], times: float) -> Model:
+    """A copy of a model with the named numbers so many ``times`` as large, within their bounds."""
+    values: dict[str, Value] = {}
+    for key in keys:
+        parameter = model.parameter(key)
+        values[key] = min(max(times * model.number(key), parameter.lower), parameter.upper)
+    return model.with_values(values)
 
 
 def _with_starts(item: Effect) -> list[dict[str, Value]]:
@@ -81,4 +95,42 @@ def downhill(data: Rows, start: TableFit) -> TableFit:
         found.append(
             fit_tables(data, last.model, constants=last.constants, evaluations=FREE, jumps=jumps, derive=False)
         )
+    return min(found, key=lambda f: f.cost)
+
+
+def to_the_end(data: Rows, near: TableFit) -> TableFit:
+    """A fit carried to its minimum."""
+    return fit_tables(data, near.model, constants=near.constants, looks=LOOKS)
+
+
+def begun_again(data: Rows, found: TableFit) -> TableFit:
+    """A fit above the floor begun again around its minimum, all numbers moved: jumps of figures may hold it fast."""
+    if found.cost <= ENOUGH * data.samples:
+        return found
+    others = spread(found.model, found.model.free(), AROUND, NEAR)
+    rough = (fit_tables(data, m, constants=found.constants, evaluations=HELD, derive=False) for m in others)
+    best = min(rough, key=lambda f: f.cost)
+    near = fit_tables(data, best.model, constants=best.constants, evaluations=FREE, derive=False)
+    return min(found, to_the_end(data, near), key=lambda f: f.cost)
+
+
+def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
+    """Fit a declared model from scratch: from the best of a grid of its values in turn, until one comes to the floor.
+
+    ``keep_start`` also begins with the model's own values, as when it was read from a file.
+    """
+    keys = ("linear.gain_deg_s_per_pct", "linear.tau_s")
+    gains: Sequence[Value] = GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
+    lags: Sequence[Value] = LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
+    others = [scaled(model, [k for k in model.free() if k not in keys], times) for times in OTHERS]
+    grid = [m.with_values({keys[0]: gain, keys[1]: lag}) for m, gain, lag in product(others, gains, lags)]
+    tried = sorted(grid, key=lambda m: squares(deviations(data, m, data.known())))[:STARTS]
+    if keep_start:
+        tried.insert(0, model)
+    found: list[TableFit] = []
+    for start in tried:
+        near = downhill(data, fit_tables(data, start, evaluations=0, derive=False))
+        found.append(begun_again(data, to_the_end(data, near)))
+        if found[-1].cost <= ENOUGH * data.samples:
+            break
     return min(found, key=lambda f: f.cost)
