@@ -81,8 +81,8 @@ def has_own_zero(record: Record, flat: Flat) -> bool:
     return record.own_zero and bool(flat.phases)
 
 
-def _look_windows(record: Record, y: np.ndarray) -> list[tuple[int, int, float]]:
-    """Windows (first, end, speed at first) spread over a record in which the shaft moves."""
+def _look_windows(record: Record, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Windows spread over a record in which the shaft moves: where each begins and ends, and its speed there (k)."""
     times, edges = record.excitation.times_s, record.windows
     moving = [
         (int(a), int(b))
@@ -90,11 +90,12 @@ def _look_windows(record: Record, y: np.ndarray) -> list[tuple[int, int, float]]
         if float(np.ptp(y[a:b])) > ZERO_MOTION_COUNTS * record.quantum
     ]
     chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), ZERO_WINDOWS)).round().astype(int))
-    found = []
+    speeds = []
     for a, b in (moving[i] for i in chosen):
         early = slice(a, min(a + max(5, (b - a) // 20), b))
-        found.append((a, b, float(np.polyfit(times[early] - times[a], y[early], 1)[0])))
-    return found
+        speeds.append(float(np.polyfit(times[early] - times[a], y[early], 1)[0]))
+    firsts, ends = np.array([moving[i] for i in chosen], dtype=np.int64).reshape(-1, 2).T
+    return firsts, ends, np.array(speeds)
 
 
 def find_zero(
@@ -106,20 +107,18 @@ def find_zero(
     model's would leave that one as it is. Then ``closely`` along the line: where the shaft sticks, slopes say little.
     """
     data = record.y if y is None else y
-    windows = _look_windows(record, data)
-    if not windows:
+    firsts, ends, speeds = _look_windows(record, data)
+    if not len(firsts):
         return near or 0.0
     orders = flat.orders()
     once, fastest = gcd(*orders), max(orders)
 
     def cost(zero: float) -> float:
         seen = flat.from_zero(zero)
-        total = 0.0
-        for a, b, speed in windows:
-            base = start_state(Start(float(data[a]), speed), seen.p, seen.on)[None, :]
-            residuals, _, _, _ = fitted_windows(record, seen, data, (np.array([a]), np.array([b])), base, True)
-            total += float(residuals @ residuals)
-        return total
+        begins = [Start(float(data[a]), speed) for a, speed in zip(firsts, speeds, strict=True)]
+        bases = np.array([start_state(begin, seen.p, seen.on) for begin in begins])
+        residuals, _, _, _ = fitted_windows(record, seen, data, (firsts, ends), bases, True)
+        return float(residuals @ residuals)
 
     if near is None:
         looks = ZERO_LOOKS * (fastest // once)
