@@ -57,6 +57,9 @@ def main(folder: Path, chosen: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
+    if {"-h", "--help"} & set(sys.argv):
+        print(__doc__)
+        sys.exit()
     if len(sys.argv) < 2 or not set(sys.argv[2:]) <= {*SECTIONS, WORDS}:
         sys.exit(__doc__)
     given = Path(os.environ["FIOHOST_DATA"], "measured") if sys.argv[1] == "-" else Path(sys.argv[1])

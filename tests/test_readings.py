@@ -143,6 +143,16 @@ def test_a_declared_model_is_fitted_past_the_jumps_of_figures(tmp_path: Path) ->
     assert found.rms < 1.5
 
 
+def test_an_effect_is_found_though_the_declared_model_fits_nothing(tmp_path: Path) -> None:
+    """Without the saturation the best fit has a gain three times too large and all of the friction there may be."""
+    numbers = {"linear.gain_deg_s_per_pct": 11.313, "linear.tau_s": 0.095, "coulomb_friction.level_pct": 2.79}
+    truth = TRUTH.with_values(numbers).with_effect("voltage_saturation", {"limit_pct": 31.844})
+    found = diagnose_tables([table_of(truth, tmp_path, 0)], Model.parse("linear+coulomb_friction"), library=SOME)
+    assert found.verdict == "explained"
+    assert [s.effect for s in found.found.steps] == ["voltage_saturation"]
+    assert found.final.fit.model.number("voltage_saturation.limit_pct") == pytest.approx(31.844, rel=0.05)
+
+
 def test_a_trial_that_runs_away_has_no_figures(tmp_path: Path) -> None:
     numbers = {"linear.gain_deg_s_per_pct": 81.03, "linear.tau_s": 1.196, "coulomb_friction.level_pct": 71.85}
     warms = {"ratio": 4.976, "time_constant_s": 1.0732, "follows": "heat"}

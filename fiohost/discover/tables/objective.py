@@ -15,7 +15,14 @@ from fiohost.discover.null import Null
 from fiohost.discover.score import Gain, at_a_bound
 from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import Rows, TableFit, fit_tables, shown_by_one_row, without_row
-from fiohost.discover.tables.starts import begun_again, downhill, fit_declared, held, to_the_end
+from fiohost.discover.tables.starts import (
+    ENOUGH,
+    downhill,
+    fit_anew,
+    fit_declared,
+    held,
+    to_the_end,
+)
 from fiohost.discover.workers import each
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.motor.effect import Effect, effects
@@ -181,19 +188,26 @@ class TablesBeside:
             best = fits[i]
             fits[i] = fitted if best is None or fitted.cost < best.cost else best
 
-        for further, factor in ((to_the_end, FAR), (begun_again, HOPELESS)):
-            kept = [(i, found) for i in self._near(fits, factor) if (found := fits[i]) is not None]
-            carried = each(partial(further, rows), [found for _, found in kept])
-            for (i, _), fitted in zip(kept, carried, strict=True):
-                fits[i] = fitted
+        kept = [(i, found) for i in self._near(fits, FAR) if (found := fits[i]) is not None]
+        carried = each(partial(to_the_end, rows), [found for _, found in kept])
+        for (i, _), fitted in zip(kept, carried, strict=True):
+            fits[i] = fitted
+        if anew and min(self._costs(fits)) > ENOUGH * rows.samples:
+            say("none comes to the floor: beginning anew with each of them")
+            shown = [i for i, fitted in enumerate(fits) if fitted is not None]
+            for i, fitted in zip(shown, each(lambda i: fit_anew(rows, self.base, offered[i]), shown), strict=True):
+                fits[i] = min(fitted, fits[i] or fitted, key=lambda f: f.cost)
         self.fits = {item.name: fitted for item, fitted in zip(offered, fits, strict=True)}
         last = [(offered[i], fits[i]) for i in self._near(fits, HOPELESS)]
         self.best = [(item, self.readings.state(f)) for item, f in last if f is not None and f.jacobians]
         return self.best
 
+    def _costs(self, fits: Sequence[TableFit | None]) -> list[float]:
+        return [np.inf if f is None else f.cost for f in fits]
+
     def _near(self, fits: Sequence[TableFit | None], factor: float) -> list[int]:
         """Which squared errors are not farther from the least, or from the floor, than a factor."""
-        costs = [np.inf if f is None else f.cost for f in fits]
+        costs = self._costs(fits)
         most = factor * max(min(costs), self.readings.rows.samples)
         return [i for i, cost in enumerate(costs) if cost <= most and np.isfinite(cost)]
 

@@ -20,7 +20,6 @@ from fiohost.motor.model import Model
 POINTS, BEST = 24, 2
 HELD, FREE = 3, 8  # evaluations of a fit with the effect's sizes held, and of all
 SPREAD = 0.5  # logarithm of how far from a trial a size may be
-AROUND, NEAR = 12, 0.1  # points, and of how far from where a fit came to it is begun again
 JUMP_FLOORS = 10.0
 GAINS = np.geomspace(0.5, 500.0, 13)
 LAGS_S = (0.02, 0.05, 0.1, 0.2, 0.5)
@@ -30,7 +29,7 @@ ENOUGH = 2.0  # squared floors a figure: no other start is asked
 TRACE_FLOORS = 1e-3
 
 
-def spread(model: Model, keys: Sequence[str], points: int, far: float = SPREAD) -> list[Model]:
+def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
     """Copies of a model with the named numbers spread about their values, evenly (Roberts' R sequence)."""
     base = 2.0
     for _ in range(30):  # the only positive root of x**(d + 1) = x + 1
@@ -40,7 +39,7 @@ def spread(model: Model, keys: Sequence[str], points: int, far: float = SPREAD) 
     for i in range(points):
         moved = model
         for key, at in zip(keys, (0.5 + i * steps) % 1.0, strict=True):
-            moved = scaled(moved, [key], float(np.exp((2.0 * at - 1.0) * far)))
+            moved = scaled(moved, [key], float(np.exp((2.0 * at - 1.0) * SPREAD)))
         found.append(moved)
     return found
 
@@ -103,34 +102,43 @@ def to_the_end(data: Rows, near: TableFit) -> TableFit:
     return fit_tables(data, near.model, constants=near.constants, looks=LOOKS)
 
 
-def begun_again(data: Rows, found: TableFit) -> TableFit:
-    """A fit above the floor begun again around its minimum, all numbers moved: jumps of figures may hold it fast."""
-    if found.cost <= ENOUGH * data.samples:
-        return found
-    others = spread(found.model, found.model.free(), AROUND, NEAR)
-    rough = (fit_tables(data, m, constants=found.constants, evaluations=HELD, derive=False) for m in others)
-    best = min(rough, key=lambda f: f.cost)
-    near = fit_tables(data, best.model, constants=best.constants, evaluations=FREE, derive=False)
-    return min(found, to_the_end(data, near), key=lambda f: f.cost)
-
-
-def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
-    """Fit a declared model from scratch: from the best of a grid of its values in turn, until one comes to the floor.
-
-    ``keep_start`` also begins with the model's own values, as when it was read from a file.
-    """
+def _grid(model: Model) -> list[Model]:
+    """Copies of a model over all gains and lags, its other sizes smaller and larger together."""
     keys = ("linear.gain_deg_s_per_pct", "linear.tau_s")
     gains: Sequence[Value] = GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
     lags: Sequence[Value] = LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
     others = [scaled(model, [k for k in model.free() if k not in keys], times) for times in OTHERS]
-    grid = [m.with_values({keys[0]: gain, keys[1]: lag}) for m, gain, lag in product(others, gains, lags)]
-    tried = sorted(grid, key=lambda m: squares(deviations(data, m, data.known())))[:STARTS]
-    if keep_start:
-        tried.insert(0, model)
+    return [m.with_values({keys[0]: gain, keys[1]: lag}) for m, gain, lag in product(others, gains, lags)]
+
+
+def _best_of(data: Rows, starts: Sequence[Model], constants: Sequence[Sequence[float]] | None) -> TableFit:
+    """The best of fits from one start after the other, until one comes to the floor."""
     found: list[TableFit] = []
-    for start in tried:
-        near = downhill(data, fit_tables(data, start, evaluations=0, derive=False))
-        found.append(begun_again(data, to_the_end(data, near)))
+    for start in starts:
+        near = downhill(data, fit_tables(data, start, constants=constants, evaluations=0, derive=False))
+        found.append(to_the_end(data, near))
         if found[-1].cost <= ENOUGH * data.samples:
             break
     return min(found, key=lambda f: f.cost)
+
+
+def _closest(data: Rows, models: Sequence[Model], constants: Sequence[Sequence[float]]) -> list[Model]:
+    return sorted(models, key=lambda m: squares(deviations(data, m, constants)))[:STARTS]
+
+
+def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
+    """Fit a declared model from scratch: from the best of a grid of its values.
+
+    ``keep_start`` also begins with the model's own values, as when it was read from a file.
+    """
+    own = [model] if keep_start else []
+    return _best_of(data, [*own, *_closest(data, _grid(model), data.known())], None)
+
+
+def fit_anew(data: Rows, base: TableFit, item: Effect) -> TableFit:
+    """The base model with one effect added, from a grid around what the library has in the place of the base's values:
+    those of a model that fits nothing lead nowhere.
+    """
+    plain = base.model.with_values({key: base.model.parameter(key).start for key in base.model.free()})
+    models = [model for trial in item.trials for model in _grid(plain.with_effect(item.name, trial))]
+    return _best_of(data, _closest(data, models, base.constants), base.constants)
