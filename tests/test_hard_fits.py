@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
-from short_runs import logs_of
+from short_runs import logs_of, plant_file
 
 from fiohost.bench.experiment import Experiment
 from fiohost.discover import objective
@@ -93,6 +93,23 @@ def test_what_swings_is_found_from_the_opposite_phase(swings: dict[str, float], 
     assert found.model.number(level) == pytest.approx(size, rel=0.1)
     off = (found.model.number(phase) - swings[phase] + 180.0) % 360.0 - 180.0
     assert off == pytest.approx(0.0, abs=6.0)
+
+
+def test_the_order_of_what_swings_is_found_though_others_score_higher(tmp_path: Path) -> None:
+    """Under P control friction decides where the shaft stops, and the whole run hangs on that: every order does."""
+    motor = {"R_ohm": 3.4464, "L_H": 0.0, "Kt_Nm_per_A": 0.31279, "Ke_Vs_per_rad": 0.4607, "J_kgm2": 0.00261783}
+    motor |= {"B_Nms": 0.0, "coulomb_Nm": 0.0277121, "supply_V": 9.0}
+    swings = {"ratio": 0.25435, "order": 4.0, "phase_rad": 2.5700667}
+    plant = plant_file(tmp_path, motor, {"position_dependent_friction": swings})
+    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
+    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=108974485)
+    records = [record_from_log(log) for log in logs]
+    base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
+    score = Screen(base, records).score(effect("position_dependent_friction"))
+    assert score.directions[0].trial["order"] != 4.0
+    found = rough_fit(base, score, records)
+    assert found.model.values["position_dependent_friction.order"] == 4.0
+    assert found.rms < 0.1 * base.rms
 
 
 @pytest.mark.parametrize("warmth", [0.5, 0.7])

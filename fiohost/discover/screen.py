@@ -247,7 +247,9 @@ class Screen:
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         grown = bool(effect.couples or effect.points)  # a trial as the library has it says nothing of their shape
         starts: list[Trial] = []
-        for i in varied(effect, trials, order)[: SCREEN.best_trials]:
+        # What swings often has other orders that do nearly as much: no gradient leads from one to the next.
+        tied = sum(grown and d.share >= SCREEN.tied * found[order[0]].share for d in found)
+        for i in varied(effect, trials, order)[: max(SCREEN.best_trials, tied)]:
             starts.append(found[i].trial)
             if not grown and found[i].trial != trials[i]:
                 starts.append(trials[i])

@@ -13,6 +13,8 @@ class ScreenSettings:
     resolution_s: float = 0.02
     # So many of an effect's trials are refitted.
     best_trials: int = 4
+    # Of what swings each trial that scores so close to the best begins too.
+    tied: float = 0.9
     # What the sine and the cosine of one frequency gain by chance, as deviance, is exponential of this mean.
     line_chance: float = 2.0
     # A shaft that stands for so long though driven on by more than friction may stand at an end of travel: readings are
