@@ -75,10 +75,15 @@ class Readings(Evidence[TableStage]):
         assert isinstance(state.fit, TableFit)
         return state.fit
 
-    def state(self, fitted: TableFit) -> State:
-        """The state of a fit: Gaussian errors of a variance that is not known, but never below that of the floor."""
+    def deviance(self, cost: float) -> float:
+        """That of a squared error in floors: Gaussian errors of a variance that is not known, but never below that of
+        the floor.
+        """
         n = float(self.rows.samples)
-        return State(fitted, n * float(np.log(fitted.cost / n)) + n if fitted.cost > n else fitted.cost)
+        return n * float(np.log(cost / n)) + n if cost > n else cost
+
+    def state(self, fitted: TableFit) -> State:
+        return State(fitted, self.deviance(fitted.cost))
 
     def variance(self, state: State) -> float:
         return max(state.fit.cost / self.rows.samples, 1.0)
@@ -228,9 +233,9 @@ class TablesBeside:
         readings = self.readings
         size, rng = np.sqrt(readings.variance(best)), readings.rng
         draws = [size * np.concatenate(readings.rows.noise(rng)) for _ in range(readings.settings.draws)]
-        before = [_rest(self.base, e) for e in draws]
+        before = [readings.deviance(_rest(self.base, e)) for e in draws]
         gains = [
-            [max(was - _rest(readings.fitted(state), e), 0.0) / size**2 for _, state in self.best]
+            [max(was - readings.deviance(_rest(readings.fitted(state), e)), 0.0) for _, state in self.best]
             for was, e in zip(before, draws, strict=True)
         ]
         levels = levels_of(np.array(gains), readings.settings).tolist()
