@@ -140,5 +140,6 @@ def fit_anew(data: Rows, base: TableFit, item: Effect) -> TableFit:
     those of a model that fits nothing lead nowhere.
     """
     plain = base.model.with_values({key: base.model.parameter(key).start for key in base.model.free()})
-    models = [model for trial in item.trials for model in _grid(plain.with_effect(item.name, trial))]
-    return _best_of(data, _closest(data, models, base.constants), base.constants)
+    best = [_closest(data, _grid(plain.with_effect(item.name, trial)), base.constants) for trial in item.trials]
+    ranked = [model for rank in zip(*best, strict=True) for model in _closest(data, rank, base.constants)]
+    return _best_of(data, ranked[:STARTS], base.constants)
