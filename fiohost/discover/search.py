@@ -168,8 +168,8 @@ class Search(Generic[J]):
             told = self.told
             first = self.best_first([*self.expand(rest, anew=False), best])[0]
             self.told = told
-            itself = first is best or first.added[-1].child.name == name
-            if not itself and (self.explains(first) or not self.explains(best)):
+            itself = first.added[-1].child.name == name and len(first.added) >= len(best.added)
+            if first is not best and not itself and (self.explains(first) or not self.explains(best)):
                 self.say(f"{first.added[-1].child.name} takes its place")
                 best = first
         return best

@@ -1,0 +1,84 @@
+"""The search by itself, over evidence that is a table of deviances: what it adds, asks for again and drops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fiohost.discover.candidate import Candidate, Progress
+from fiohost.discover.evidence import Evidence, State
+from fiohost.discover.null import Null
+from fiohost.discover.score import Gain
+from fiohost.discover.search import Search
+from fiohost.estimation.fit import Fit
+from fiohost.motor.effect import Effect, effects
+from fiohost.motor.model import Model
+
+FIRST, OTHER = "coulomb_friction", "constant_load"
+SAMPLES = 100.0
+# By what is in a model, and whether its fit begins where the other effect was beside: the first stops half-way alone.
+LEFT = {
+    ((), False): 1000.0,
+    ((FIRST,), False): 500.0,
+    ((OTHER,), False): 900.0,
+    ((FIRST, OTHER), False): 0.0,
+    ((FIRST,), True): 0.0,
+    ((OTHER,), True): 900.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    fit: Fit
+    floor_rms: float = 1.0
+    left_pct: float = 100.0
+
+    @property
+    def follows(self) -> bool:
+        return self.fit.cost <= SAMPLES
+
+
+def state(names: Sequence[str], beside: bool = False) -> State:
+    deviance = LEFT[tuple(n for n in (FIRST, OTHER) if n in names), beside]
+    fit = Fit(Model(tuple(names)), tuple(names), SAMPLES + deviance, (), (), (), (), True, SAMPLES)
+    return State(fit, deviance)
+
+
+class Table(Evidence[Stage]):
+    def judge(self, state: State) -> Stage:
+        return Stage(state.fit)
+
+    def declared(self, model: Model, from_file: bool) -> State:
+        return state(())
+
+    def beside(self, state: State) -> Beside:
+        return Beside(state)
+
+    def without(self, state_: State, name: str) -> State:
+        return state([n for n in state_.fit.names if n != name], beside=True)
+
+    def gain(self, before: State, after: State) -> Gain:
+        return Gain(before.deviance - after.deviance, 1.0, 1.0)
+
+
+class Beside:
+    def __init__(self, state: State) -> None:
+        self.names = state.fit.names
+
+    def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
+        return [effects()[n] for n in library or () if n not in self.names], []
+
+    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
+        return [(effect, state([*self.names, effect.name])) for effect in offered]
+
+    def passed_over(self) -> list[Candidate]:
+        return []
+
+    def null(self, best: State) -> Null:
+        return Null(5.0, {}, ())
+
+
+def test_an_effect_that_only_led_to_a_better_fit_of_another_is_not_named() -> None:
+    """Alone the first stops half-way, beside the other it does not, and from there the other is not needed."""
+    search = Search(Table(), (FIRST, OTHER), lambda text: None)
+    assert search.run(search.declared(Model(()), False)).names == {FIRST}
