@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, measure, steps, truth_model
 
+from fiohost.discover.movement import movement, moving
+from fiohost.discover.whitened import with_noise
 from fiohost.estimation.fit import _Point, _Problem, fit
 from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record
@@ -16,6 +18,7 @@ from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.noise.estimate import NONE, Ranged
 
 EFFECTS: dict[str, dict[str, Value]] = {
     "quadratic_drag": {"quadratic_drag.pct_at_1000_deg_s": 30.0},
@@ -46,6 +49,33 @@ def test_where_a_model_fits_the_tangent_is_the_derivative(name: str) -> None:
     for a, b in zip((*along[0], *along[1]), (*anew[0], *anew[1]), strict=True):
         for i in range(a.shape[1]):
             assert np.linalg.norm(a[:, i] - b[:, i]) < 0.05 * np.linalg.norm(b[:, i]), i
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("weighed", [False, True])
+def test_the_tangent_is_the_derivative_where_windows_begin_at_rest_and_turn_under_any_weights(
+    seed: int, weighed: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    truth = truth_model(("coulomb_friction",), {"coulomb_friction.level_pct": 4.5})
+    record = measure(truth, _with_rests(rng), rng)
+    begin = Start(0.0, 0.0)
+    if weighed:
+        noise = replace(NONE, torque_pct=Ranged(1.0, 1.0, 1.0), torque_s=Ranged(0.1, 0.1, 0.1))
+        how = [moving(record, truth, begin, 1.0)]
+        (record,) = with_noise([record], truth, noise, movement([record], truth, [begin], how))
+    problem = _Problem(truth, [record], True)
+    point = _Point(truth.vector(), [begin])
+    residuals = problem.residuals(point)
+    (along,), (anew,) = (problem.linearise(point, residuals, exactly)[0] for exactly in (False, True))
+    for i, name in enumerate(problem.names):
+        assert np.linalg.norm(along[:, i] - anew[:, i]) < 0.2 * np.linalg.norm(anew[:, i]), name
+
+
+def _with_rests(rng: np.random.Generator) -> np.ndarray:
+    """Twelve seconds of steps to either side, rests between them."""
+    levels = np.where(np.arange(24) % 3 == 0, 0.0, rng.uniform(8.0, 40.0, 24) * rng.choice([-1.0, 1.0], 24))
+    return np.repeat(levels, 100)
 
 
 @pytest.mark.parametrize("seed", range(3))

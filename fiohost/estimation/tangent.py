@@ -16,10 +16,11 @@ from fiohost.estimation.predict import Begun, Flat, moved, of_run, speed_step, t
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
-from fiohost.motor.state import LOAD_THETA, OMEGA, STATE_SIZE, THETA, WORK_SIZE
+from fiohost.motor.state import LOAD_THETA, OMEGA, STATE_SIZE, TAU, THETA, WORK_SIZE
 
-# Of a speed's column that is so nearly an angle's (share of its square), nothing is taken apart from that.
-ALIKE = 1e-12
+# Where a speed moves the output by less than this share of what it does in a shaft that runs on (of its square), the
+# shaft stands: friction takes the speed away at once.
+STANDS = 1e-4
 
 
 class Tangent:
@@ -35,6 +36,7 @@ class Tangent:
         self.window = np.repeat(np.arange(len(lengths)), lengths)
         self.before = np.cumsum(lengths) - lengths
         self.rows = np.arange(len(self.window)) + (self.firsts - self.before)[self.window]
+        self.sure = record.sure[self.rows]
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
         """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
@@ -70,9 +72,15 @@ class Tangent:
         by_angle = np.full(len(outputs), 1.0 if self.record.kind == ANGLE else 0.0)
         if self.record.kind == ANGLE and flat.bends:
             by_angle = (self._outputs(flat, moved(begins, thetas + 0.01 * step, omegas)) - outputs) / (0.01 * step)
-        least = ALIKE * self._products(by_speed, by_speed)
         by_angle = self._unit(by_angle, 0.0)
-        return outputs, by_angle, self._unit(by_speed - self._along(by_speed, by_angle), least)
+        own, running = (s - self._along(s, by_angle) for s in (by_speed, self._running()))
+        return outputs, by_angle, self._unit(own, STANDS * self._products(running, running))
+
+    def _running(self) -> np.ndarray:
+        """How (k) a speed at its beginning moves a window's output where nothing but the lag slows the shaft."""
+        times, tau_s = self.record.excitation.times_s, max(float(self.flat.p[TAU]), 1e-9)
+        since = times[self.rows] - times[self.firsts][self.window]
+        return tau_s * -np.expm1(-since / tau_s) if self.record.kind == ANGLE else np.exp(-since / tau_s)
 
     def _outputs(self, flat: Flat, begins: np.ndarray) -> np.ndarray:
         """Outputs (k) of windows that begin so."""
@@ -90,8 +98,8 @@ class Tangent:
         return np.asarray(outputs[self.rows])
 
     def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Sums of products (m) over each window's samples."""
-        return np.asarray(np.add.reduceat(a * b, self.before))
+        """Sums of products (m) over each window's samples, weighed as those are from which its start is found."""
+        return np.asarray(np.add.reduceat(self.sure * a * b, self.before))
 
     def _along(self, series: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """The part (k) of a series along a direction of unit length in each window."""
