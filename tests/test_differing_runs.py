@@ -18,7 +18,7 @@ from fiohost.estimation.predict import Flat, free_output, turned_deg, windowed
 from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, Start, free_run
-from fiohost.motor.state import STANDBY
+from fiohost.motor.state import BRAKE, DRIVE, STANDBY
 from fiohost.noise.disturbance import Disturbance
 from fiohost.noise.estimate import NONE, Noise
 from fiohost.noise.runs import Own, RunToRun
@@ -132,8 +132,26 @@ def test_a_random_torque_does_not_push_a_coasting_shaft_through_its_end() -> Non
     rng, start = np.random.default_rng(8), Start(0.0, 0.0)
     drawn = [disturbed_output(record, STOPPED, start, noise, rng) for _ in range(20)]
     assert max(y.max() for y in drawn) <= 700.0 + 1e-6
-    assert np.ptp([y[100] for y in drawn]) == 0.0  # driven: nothing is laid over it here
-    assert np.ptp([y[390] for y in drawn]) > 1.0
+    assert min(np.ptp([y[i] for y in drawn]) for i in (100, 390)) > 1.0  # driven, and coasting
     quiet = replace(noise, torque_pct=replace(NONE.torque_pct, value=1e-12))
     same = disturbed_output(record, STOPPED, start, quiet, rng)
     assert same == pytest.approx(free_output(record, Flat.of(STOPPED), start), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["coast_pwm", "fast_decay", "input_deadband", "armature_inductance", "backlash"])
+def test_a_random_torque_is_a_load_whatever_the_bridge_makes_of_a_duty(name: str) -> None:
+    model = truth_model(("coulomb_friction", name))
+    times = np.arange(1200) * TICK_S
+    modes = np.where(np.arange(1201) % 300 < 200, DRIVE, BRAKE)
+    duties = np.where(modes == DRIVE, np.where(np.arange(1201) % 600 < 300, 35.0, -20.0), 0.0)
+    record = make_record("braked", times, np.zeros(1200), np.zeros(1200), quantum=QUANTUM_DEG, at_rest=True)
+    record = replace(record, excitation=Excitation(times, times + TICK_S, duties, modes))
+    quiet = Noise(NONE.sensor, replace(NONE.torque_pct, value=1e-9), replace(NONE.torque_s, value=0.5), 0.0, 0)
+    rng, start = np.random.default_rng(3), Start(0.0, 0.0)
+    alone = free_output(record, Flat.of(model), start)
+    assert disturbed_output(record, model, start, quiet, rng) == pytest.approx(alone, abs=2e-3)
+    # A steady torque is a load of that size.
+    steady = replace(quiet, torque_pct=replace(NONE.torque_pct, value=3.0), torque_s=replace(NONE.torque_s, value=1e9))
+    loaded = model.with_effect("constant_load", {"level_pct": -3.0 * np.random.default_rng(4).standard_normal()})
+    drawn = disturbed_output(record, model, start, steady, np.random.default_rng(4))
+    assert drawn == pytest.approx(free_output(record, Flat.of(loaded), start), abs=2e-2)

@@ -1,7 +1,4 @@
-"""Replicas: what the sensor would have read had a fitted model been true, with the noise that a record has.
-
-A random torque is a duty while the bridge drives or brakes, and a load while it is open.
-"""
+"""Replicas: what the sensor would have read had a fitted model been true, with the noise that a record has."""
 
 from __future__ import annotations
 
@@ -14,18 +11,14 @@ from fiohost.discover.metrics import quantise
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.predict import Flat, free_output, read, turned_deg
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
-from fiohost.motor.compiled import compiled
-from fiohost.motor.hooks import EFFECT_INDEX
-from fiohost.motor.kernel import simulate
-from fiohost.motor.model import Model, slot
-from fiohost.motor.simulate import Start, start_state
-from fiohost.motor.state import BRAKE, DRIVE, LOAD_THETA, STANDBY, STATE_SIZE, THETA, WORK_SIZE
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start, run_loaded, start_state
+from fiohost.motor.state import LOAD_THETA, THETA
 from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
-from fiohost.noise.runs import LOAD_EFFECT, run_of, varied
+from fiohost.noise.runs import run_of, varied
 
 FLOOR = SETTINGS.floor
-LOADED, LOAD = EFFECT_INDEX[LOAD_EFFECT], slot(f"{LOAD_EFFECT}.level_pct")
 
 
 def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
@@ -71,7 +64,7 @@ def replica(
     shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
     begin = start._replace(angle=start.angle + shift)
     if noise and noise.torque_pct.value > 0.0:
-        truth = disturbed_output(disturbed(record, model, noise, rng), model, begin, noise, rng)
+        truth = disturbed_output(record, model, begin, noise, rng)
     else:
         truth = free_output(record, Flat.of(model), begin)
     if noise and noise.sensor.value > 0.0:
@@ -109,62 +102,12 @@ def another_day(records: Sequence[Record], rng: np.random.Generator, *, open_noi
     return found
 
 
-def disturbed(record: Record, model: Model, noise: Noise, rng: np.random.Generator) -> Record:
-    """The record with a random torque on its shaft while it is braked or driven: it adds to the duty that acts."""
-    ex = record.excitation
-    duties, modes = ex.duties_pct.copy(), ex.modes.copy()
-    braked = (modes == BRAKE) if "fast_decay" not in model.effects else np.zeros(len(modes), dtype=bool)
-    duties[braked], modes[braked] = 0.0, DRIVE
-    driven = modes == DRIVE
-    torque = draw_torque(np.append(ex.act_times_s[0] - record.sample_time_s, ex.act_times_s), noise, rng)
-    duties[driven] += torque[driven]
-    return replace(record, excitation=replace(ex, duties_pct=duties, modes=modes))
-
-
 def disturbed_output(record: Record, model: Model, start: Start, noise: Noise, rng: np.random.Generator) -> np.ndarray:
-    """The output (n) of a free run, with a random torque as a load wherever the bridge is open, held from each sample
-    to the next.
-    """
-    ex, flat = record.excitation, Flat.of(model).from_zero(start.zero)
-    coasts = ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY
-    if not coasts.any():
-        return free_output(record, flat, start)
-    torque = draw_torque(ex.times_s, noise, rng)
+    """The output (n) of a free run under a random torque, held from each sample to the next."""
+    flat = Flat.of(model).from_zero(start.zero)
     turned = turned_deg(record, flat)
     begin = start_state(start._replace(angle=start.angle + turned), flat.p, flat.on)
-    loads = (float(flat.p[LOAD]) if flat.on[LOADED] else 0.0) - torque
-    states = np.empty((len(record), STATE_SIZE))
-    run_loaded(
-        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, coasts, loads, begin, flat.substep_s,
-        flat.p, flat.on, flat.p.copy(), flat.on.copy(), np.empty(WORK_SIZE), states,
-    )  # fmt: skip
+    torque = draw_torque(record.excitation.times_s, noise, rng)
+    states = run_loaded(record.excitation, flat.p, flat.on, flat.substep_s, begin, -torque)
     states[:, [THETA, LOAD_THETA]] -= turned
     return read(record, flat, states)
-
-
-@compiled
-def run_loaded(  # type: ignore[no-untyped-def]
-    times, act_times, duties, modes, clock, coasts, loads, begin, substep, p, on, loaded_p, loaded_on, state, states
-):
-    """``states`` (n, STATE_SIZE) of a free run from ``begin``, of which each sample that ``coasts`` (n) has a load of
-    its own (n) until the next. The three arguments before ``states`` are work space, the first two of them copies.
-    """
-    loaded_on[LOADED] = True
-    for i in range(STATE_SIZE):
-        states[0, i] = begin[i]
-    first, end = 0, times.shape[0] - 1
-    while first < end:
-        after = first + 1
-        while not coasts[first] and after < end and not coasts[after]:
-            after += 1
-        for i in range(WORK_SIZE):
-            state[i] = states[first, i] if i < STATE_SIZE else 0.0
-        stretch = states[first : after + 1]
-        if coasts[first]:
-            loaded_p[LOAD] = loads[first]
-            simulate(
-                times, act_times, duties, modes, clock, first, after + 1, state, substep, loaded_p, loaded_on, stretch
-            )
-        else:
-            simulate(times, act_times, duties, modes, clock, first, after + 1, state, substep, p, on, stretch)
-        first = after

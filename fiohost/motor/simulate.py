@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fiohost.motor import kernel
+from fiohost.motor.compiled import compiled
 from fiohost.motor.effect import effect
 from fiohost.motor.hooks import EFFECT_INDEX
 from fiohost.motor.model import Model, slot
@@ -24,6 +25,9 @@ from fiohost.motor.state import (
     WARMTH,
     WORK_SIZE,
 )
+
+# The effect as which a load of its own acts from each sample to the next.
+_LOADED, _LOAD = EFFECT_INDEX["constant_load"], slot("constant_load.level_pct")
 
 # Where a coupling says on which side of it the encoder sits: switch, slots of the side and of the load's share, the
 # side beyond it, and whether it is there by its gap, with or without a load.
@@ -123,6 +127,42 @@ def run(
         states,
     )
     return states
+
+
+def run_loaded(
+    excitation: Excitation,
+    p: np.ndarray,
+    on: np.ndarray,
+    substep_s: float,
+    state: np.ndarray,
+    loads_pct: np.ndarray,
+    first: int = 0,
+    last: int | None = None,
+) -> np.ndarray:
+    """``run`` with a load (last - first) of its own from each sample to the next, beside what the model has; positive
+    where it opposes forward motion.
+    """
+    ex, last = excitation, len(excitation.times_s) if last is None else last
+    states = np.empty((last - first, STATE_SIZE))
+    p, loads = p.copy(), loads_pct + (p[_LOAD] if on[_LOADED] else 0.0)
+    on = on.copy()
+    on[_LOADED] = True
+    states[0], work = state, np.concatenate((state, np.zeros(WORK_SIZE - STATE_SIZE)))
+    _run_loaded(
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, first, last, loads, work, substep_s, p, on,
+        states,
+    )  # fmt: skip
+    return states
+
+
+@compiled
+def _run_loaded(  # type: ignore[no-untyped-def]
+    times, act_times, duties, modes, clock, first, last, loads, state, substep, p, on, states
+):
+    for i in range(first, last - 1):
+        p[_LOAD] = loads[i - first]
+        at = states[i - first : i - first + 2]
+        kernel.simulate(times, act_times, duties, modes, clock, i, i + 2, state, substep, p, on, at)
 
 
 def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float = 0.0) -> np.ndarray:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from fiohost.discover.metrics import quantise
-from fiohost.discover.replica import disturbed
 from fiohost.estimation.predict import Flat, read
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
-from fiohost.motor.simulate import Start, run, start_state
+from fiohost.motor.simulate import Start, run, run_loaded, start_state
+from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import varied
 
@@ -33,8 +33,8 @@ def drifting_run(
     the last serves for all that follows.
     """
     times = record.excitation.times_s
-    if noise is not None and noise.torque_pct.value > 0.0:
-        record = disturbed(record, models[0], noise, rng)
+    disturbed = noise is not None and noise.torque_pct.value > 0.0
+    torque = draw_torque(times, noise, rng) if disturbed else None
     edges = np.searchsorted(times, times[0] + PIECE_S * np.arange(1, len(models)) - 1e-9)
     edges = np.unique(np.concatenate(([0], np.minimum(edges, len(times) - 1), [len(times) - 1])))
     y = np.empty(len(times))
@@ -43,7 +43,8 @@ def drifting_run(
         flat = Flat.of(models[min(i, len(models) - 1)])
         if state is None:
             state = start_state(start, flat.p, flat.on)
-        states = run(record.excitation, flat.p, flat.on, flat.substep_s, state, a, b + 1)
+        how = record.excitation, flat.p, flat.on, flat.substep_s, state
+        states = run(*how, a, b + 1) if torque is None else run_loaded(*how, -torque[a : b + 1], a, b + 1)
         state = states[-1].copy()
         part = replace(record.excitation, times_s=times[a : b + 1])
         y[a : b + 1] = read(replace(record, excitation=part), flat, states)
