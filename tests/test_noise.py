@@ -7,7 +7,7 @@ import pytest
 
 from fiohost.noise import covariance
 from fiohost.noise.draw import draw_torque
-from fiohost.noise.estimate import Motor, Noise, Ranged, estimate, grouped, pieces
+from fiohost.noise.estimate import Motor, Noise, Ranged, estimate, pieces
 from fiohost.noise.quantum import found_quantum
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 
@@ -20,7 +20,7 @@ def drawn(
     """What a true model leaves of noisy readings (n), its speed (n), and the windows' edges."""
     window, step_s = round(1.0 / motor.step_s), motor.step_s
     n = window * WINDOWS
-    times, moving = np.arange(n) * step_s, covariance.Movement.steady(window)
+    times, moving = np.arange(n) * step_s, covariance.Movement.steady(window, motor.tau_s)
     acts = covariance.response(times[:window], moving, motor.gain, motor.tau_s, motor.kind)
     known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(torque_pct, 0.0, 0.0), Ranged(torque_s, 0.0, 0.0))
     torque = draw_torque(times, known, rng).reshape(WINDOWS, window)
@@ -36,7 +36,7 @@ def drawn(
         true, count = speed, motor.quantum * step_s
         angle = np.floor((np.cumsum(speed) * step_s) / count) * count
         read = np.diff(angle, prepend=0.0) / step_s + (torque @ acts.T).ravel() + sensor * rng.standard_normal(n)
-    return read - true, speed, np.arange(0, n + 1, window)
+    return read - true, speed, np.full(n, motor.tau_s), np.arange(0, n + 1, window)
 
 
 def drawn_motor(rng: np.random.Generator, kind: int, quantum: float) -> Motor:
@@ -64,7 +64,7 @@ def test_intervals_of_the_noise_hold_the_truth_on_nine_sets_of_ten() -> None:
     for kind, quantum, sensor, torque_pct in CASES * 5:
         torque_s = float(rng.choice((0.1, 0.5)))
         motor = drawn_motor(rng, kind, quantum)
-        found = estimate(grouped(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor), motor))
+        found = estimate(pieces(*drawn(rng, motor, sensor, torque_pct, torque_s), motor))
         told = {"sensor": (found.sensor, sensor), "torque": (found.torque_pct, torque_pct)}
         told |= {"time": (found.torque_s, torque_s)} if torque_pct else {}
         assert found.likely is not None
@@ -83,7 +83,7 @@ def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
     rng = np.random.default_rng(1)
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S)
     for torque_pct, torque_s in ((0.5, 0.1), (1.0, 0.5)):
-        found = estimate(grouped(pieces(*drawn(rng, motor, 0.104, torque_pct, torque_s), motor), motor))
+        found = estimate(pieces(*drawn(rng, motor, 0.104, torque_pct, torque_s), motor))
         assert found.torque_known
         assert found.torque_pct.value == pytest.approx(torque_pct, rel=0.15)
         assert found.sensor.value == pytest.approx(0.104, abs=0.02)
@@ -92,16 +92,16 @@ def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
 def test_declared_sensor_noise_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(2)
     motor = drawn_motor(rng, covariance.ANGLE, 0.5)
-    parts = grouped(pieces(*drawn(rng, motor, 0.5, 0.0, 0.1), motor), motor)
+    parts = pieces(*drawn(rng, motor, 0.5, 0.0, 0.1), motor)
     assert estimate(parts, sensor=0.3).sensor == Ranged(0.3, 0.3, 0.3)
 
 
 def test_nothing_is_estimated_where_nothing_moves() -> None:
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.5, STEP_S)
     still = np.zeros(WINDOW * 3)
-    found = pieces(still, still, np.arange(0, 3 * WINDOW + 1, WINDOW), motor)
+    found = pieces(still, still, still, np.arange(0, 3 * WINDOW + 1, WINDOW), motor)
     assert found == []
-    assert estimate(grouped(found, motor)).samples == 0
+    assert estimate(found).samples == 0
 
 
 def test_whitened_windows_are_white_and_of_unit_variance() -> None:
@@ -110,14 +110,14 @@ def test_whitened_windows_are_white_and_of_unit_variance() -> None:
     known = Noise(noise, Ranged(1.0, 1.0, 1.0), Ranged(0.3, 0.3, 0.3))
     draws = []
     for _ in range(20):
-        residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
+        residual, _, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
         n = len(residual)
-        times, moves = np.arange(n) * STEP_S, covariance.Movement.steady(n)
+        times, moves = np.arange(n) * STEP_S, covariance.Movement.steady(n, motor.tau_s)
         whitener = Whitener(times, moves, np.ones(n), edges[:-1], edges[1:], motor, known)
         white = whitener.apply(residual)
         assert float(white @ white) == pytest.approx((WINDOW - 2) * WINDOWS, rel=0.05)
         draws.append(unevenness([white], [edges]))
-    residual, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
+    residual, _, _, edges = drawn(rng, motor, 0.5, 1.0, 0.3)
     assert is_white(unevenness([whitener.apply(residual)], [edges]), draws)
     wave = 0.3 * np.sin(2.0 * np.pi * 5.0 * np.arange(len(residual)) * STEP_S)
     assert not is_white(unevenness([whitener.apply(residual + wave)], [edges]), draws)
@@ -127,10 +127,10 @@ def test_a_window_s_own_start_leaves_nothing_whitened() -> None:
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.0, STEP_S)
     known = Noise(Ranged(0.1, 0.1, 0.1), Ranged(1.0, 1.0, 1.0), Ranged(0.2, 0.2, 0.2))
     times = np.arange(WINDOW) * STEP_S
-    how = np.where(np.arange(WINDOW) < 120, covariance.DRIVEN, np.where(np.arange(WINDOW) < 160, covariance.COASTS, 0))
-    moving = covariance.Movement(how, np.ones(WINDOW))
+    lag_s = np.where(np.arange(WINDOW) < 120, 0.08, np.where(np.arange(WINDOW) < 160, 80.0, 0.0))
+    moving = covariance.Movement(lag_s, np.ones(WINDOW))
     whitener = Whitener(times, moving, np.ones(len(times)), np.array([0]), np.array([WINDOW]), motor, known)
-    own = covariance.starts(times, moving, motor.tau_s, motor.kind) @ np.array([3.0, 40.0])
+    own = covariance.starts(times, moving, motor.kind) @ np.array([3.0, 40.0])
     assert np.abs(whitener.apply(own)).max() < 1e-4 * np.abs(own).max() / 0.1
 
 
@@ -163,12 +163,12 @@ def test_a_sensor_with_neither_counts_nor_noise_has_a_torque_to_be_found(kind: i
     rng = np.random.default_rng(8)
     motor = Motor(10.0, 0.08, kind, 0.0, 4.0 * STEP_S)
     window = round(1.0 / motor.step_s)
-    times, moving = np.arange(window) * motor.step_s, covariance.Movement.steady(window)
+    times, moving = np.arange(window) * motor.step_s, covariance.Movement.steady(window, motor.tau_s)
     acts = covariance.response(times, moving, motor.gain, motor.tau_s, kind)
     known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(1.0, 0.0, 0.0), Ranged(0.2, 0.0, 0.0))
     torque = draw_torque(np.arange(window * WINDOWS) * motor.step_s, known, rng).reshape(WINDOWS, window)
     left, speed = (torque @ acts.T).ravel(), np.full(window * WINDOWS, 300.0)
-    found = estimate(grouped(pieces(left, speed, np.arange(0, len(left) + 1, window), motor), motor))
+    found = estimate(pieces(left, speed, np.full(len(left), 0.08), np.arange(0, len(left) + 1, window), motor))
     assert found.torque_pct.value == pytest.approx(1.0, rel=0.15)
     assert found.sensor.value < 0.1 * float(np.std(left))
 
@@ -182,15 +182,13 @@ def test_innovations_are_what_the_covariance_whitens(kind: int, torque_pct: floa
     known = Noise(Ranged(0.2, 0.2, 0.2), Ranged(torque_pct, 0.0, 2.0), Ranged(0.3, 0.3, 0.3))
     n = 60
     times, weights = np.cumsum(rng.uniform(0.008, 0.012, n)), rng.choice([1.0, 0.4], n)
-    how = np.where(
-        np.arange(n) < 40, covariance.DRIVEN, np.where(np.arange(n) < 50, covariance.REST, covariance.COASTS)
-    )
+    lag_s = np.where(np.arange(n) < 20, 0.08, np.where(np.arange(n) < 40, 0.02, np.where(np.arange(n) < 50, 0.0, 80.0)))
     keeps = np.where(np.arange(n) == 13, 0.6, 1.0)
-    moving = covariance.Movement(how, keeps)
+    moving = covariance.Movement(lag_s, keeps)
     acts = covariance.response(times, moving, motor.gain, motor.tau_s, kind) * torque_pct
     own = covariance.counts(n, motor.quantum, kind) / np.outer(weights, weights)
     own += known.sensor.value**2 * np.eye(n) + acts @ covariance.torque(times, known.torque_s.value) @ acts.T
-    starts = covariance.starts(times, moving, motor.tau_s, kind)
+    starts = covariance.starts(times, moving, kind)
     free = covariance.outside(starts)
     inside = free.T @ own @ free
     series = rng.standard_normal((n, 3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, measure, steps, truth_model
 
-from fiohost.discover.movement import movement, moving
+from fiohost.discover.movement import movement
 from fiohost.discover.whitened import with_noise
 from fiohost.estimation.fit import _Point, _Problem, fit
 from fiohost.estimation.predict import Flat, free_output, windowed
@@ -62,8 +62,7 @@ def test_the_tangent_is_the_derivative_where_windows_begin_at_rest_and_turn_unde
     begin = Start(0.0, 0.0)
     if weighed:
         noise = replace(NONE, torque_pct=Ranged(1.0, 1.0, 1.0), torque_s=Ranged(0.1, 0.1, 0.1))
-        how = [moving(record, truth, begin, 1.0)]
-        (record,) = with_noise([record], truth, noise, movement([record], truth, [begin], how))
+        (record,) = with_noise([record], truth, noise, [movement(record, truth, begin)])
     problem = _Problem(truth, [record], True)
     point = _Point(truth.vector(), [begin])
     residuals = problem.residuals(point)

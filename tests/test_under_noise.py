@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.movement import movement, moving
+from fiohost.discover.movement import at_rest, movement, standing
 from fiohost.discover.objective import Windows
+from fiohost.discover.replica import disturbed_output
 from fiohost.discover.result import to_json
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.whitened import with_noise
@@ -15,9 +16,9 @@ from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record, make_record
+from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise, Ranged
 
 STEP_S, QUANTUM_DEG = 0.005, 0.05
@@ -90,7 +91,7 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
 @pytest.fixture(scope="module")
 def axis() -> Diagnosis:
     """Declared without any friction: weights take that for a torque of 3.5 % that wanders slowly."""
-    return diagnose_records([to_and_fro(5), to_and_fro(55)], [to_and_fro(102)], Model(), library=LIBRARY)
+    return diagnose_records([to_and_fro(6), to_and_fro(56)], [to_and_fro(102)], Model(), library=LIBRARY)
 
 
 def test_friction_that_weights_take_for_a_wandering_torque_is_named(axis: Diagnosis) -> None:
@@ -152,22 +153,30 @@ def test_windows_of_long_records_are_looked_at_in_step_with_nothing() -> None:
     assert found.number("linear.tau_s") == pytest.approx(0.1, rel=0.01)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_true_model_leaves_white_windows_where_a_torque_turns_or_holds_the_shaft(seed: int) -> None:
-    """Reversals, starts and stops under a torque of 1 %: nothing there stands out of what the noise explains."""
+@pytest.mark.parametrize(
+    ("seed", "more"),
+    [(1, {}), (2, {}), (3, {}), (1, {"coast_pwm": 0.1}), (2, {"coast_pwm": 0.3}), (3, {"quadratic_drag": 40.0})],
+)
+def test_a_true_model_leaves_white_windows_where_a_torque_turns_or_holds_the_shaft(
+    seed: int, more: dict[str, float]
+) -> None:
+    """Reversals, starts and stops under a torque of 1 %: nothing there stands out of what the noise explains, also
+    where speeds settle sooner or later than the lag says.
+    """
     rng = np.random.default_rng(seed)
     values = {"linear.gain_deg_s_per_pct": 15.7, "linear.tau_s": 0.07, "coulomb_friction.level_pct": 5.1}
     truth, n = Model(("coulomb_friction",), values), round(60.0 / STEP_S)
+    for name, size in more.items():
+        truth = truth.with_effect(name, {effect(name).parameters[0].name: size})
     known = Noise(Ranged(0.0, 0.0, 0.0), Ranged(1.0, 1.0, 1.0), Ranged(0.5, 0.5, 0.5))
     times, holds = np.arange(n) * STEP_S, rng.integers(40, 300, 300)
     duty = np.repeat(rng.uniform(-80.0, 80.0, 300), holds)[:n] * np.repeat(rng.random(300) > 0.3, holds)[:n]
-    pushed = duty + draw_torque(times, known, rng)
-    bare = make_record("bare", times, pushed, np.zeros(n), quantum=0.5, at_rest=True)
-    angle = np.floor(free_output(bare, Flat.of(truth), Start(0.0, 0.0)) / 0.5) * 0.5 + 0.25
+    bare = make_record("bare", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
+    angle = np.floor(disturbed_output(bare, truth, Start(0.0, 0.0), known, rng) / 0.5) * 0.5 + 0.25
     record = make_record("run", times, duty, angle, quantum=0.5, at_rest=True)
     (start,) = fit(truth, [record], windows=True, max_iterations=1, tolerance=1e30).starts
-    moves = movement([record], truth, [start], [moving(record, truth, start, 1.0)])
-    (whitened,) = with_noise([record], truth, known, moves)
+    moves = at_rest(movement(record, truth, start), standing(record, truth, start, 1.0))
+    (whitened,) = with_noise([record], truth, known, [moves])
     left = windowed(whitened, Flat.of(truth), start)[0]
-    assert np.sqrt(np.mean(left**2)) == pytest.approx(0.95, abs=0.15)
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(0.95, abs=0.2)
     assert np.abs(left).max() < 5.5

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.workers import each
 from fiohost.estimation.predict import Flat, speed_step, turned_deg, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
-from fiohost.motor.simulate import Start, run
-from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, STANDBY, THETA
-from fiohost.noise.covariance import COASTS, DRIVEN, REST, Movement, step_of
+from fiohost.motor.simulate import Start, run, speed_kept
+from fiohost.motor.state import LOAD_THETA, OMEGA, STANDBY, THETA
+from fiohost.noise.covariance import Movement
 from fiohost.noise.runs import varied
 
 WHITENING = SETTINGS.whitening
+# Lags of a speed that hardly settles, as one that coasts, and of one that does at once, as multiples of the motor's.
+LONGEST, SHORTEST = 1e3, 1e-2
 
 
 def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray]:
@@ -40,9 +40,9 @@ def coasting(record: Record) -> np.ndarray:
     return np.asarray(ex.modes[np.searchsorted(ex.act_times_s, ex.times_s, side="right")] == STANDBY)
 
 
-def moving(record: Record, model: Model, start: Start, torque_pct: float) -> np.ndarray:
-    """Whether (n) the shaft stands from each sample to the next, is driven or coasts. It stands where a random torque
-    of ``torque_pct`` rms does not turn it.
+def standing(record: Record, model: Model, start: Start, torque_pct: float) -> np.ndarray:
+    """Whether (n) the shaft stands from each sample to the next: where a random torque of ``torque_pct`` rms does not
+    turn it.
     """
     push = WHITENING.rest_sigmas * torque_pct
     pushed = [varied(model, np.array([0.0, 0.0, load])) for load in ((-push, push) if push > 0.0 else ())]
@@ -51,36 +51,34 @@ def moving(record: Record, model: Model, start: Start, torque_pct: float) -> np.
         speed = simulated_in_windows(record, one, start)[1]
         moves |= np.abs(speed) > WHITENING.stands * float(np.max(np.abs(speed), initial=0.0))
     near = round(WHITENING.kink_s / record.sample_time_s)
-    moves = np.convolve(moves, np.ones(2 * near + 1), mode="same") > 0.5
-    return np.where(moves, np.where(coasting(record), COASTS, DRIVEN), REST)
+    return np.asarray(np.convolve(moves, np.ones(2 * near + 1), mode="same") <= 0.5)
 
 
-def turning(record: Record, model: Model, start: Start) -> np.ndarray:
-    """Which share (n) of what is off in its speed the shaft keeps from each sample to the next, beside what its lag
-    takes: all of it but where it turns.
+def movement(record: Record, model: Model, start: Start) -> Movement:
+    """How a model's shaft moves in a record's windows, nowhere at rest: what a small change of its speed becomes from
+    each sample to the next says with which lag it settles; where it turns against friction, which share it keeps.
     """
-    flat, ex, keeps = Flat.of(model).from_zero(start.zero), record.excitation, np.ones(len(record))
+    flat, ex = Flat.of(model).from_zero(start.zero), record.excitation
+    tau_s, step = model.number("linear.tau_s"), speed_step(flat)
+    lags = np.where(coasting(record), LONGEST * tau_s, tau_s)
     if not flat.on.any():
-        return keeps  # a linear motor turns as it runs
+        return Movement(lags, np.ones(len(record)))
     record = replace(record, disturbance=None)
     begins = windowed(record, Flat.of(model), start)[1].states.copy()
     begins[:, [THETA, LOAD_THETA]] += turned_deg(record, flat)
-    step, tau_s = speed_step(flat), model.number("linear.tau_s")
+    keeps = np.ones(len(record))
     for begin, a, b in zip(begins, *(ends.tolist() for ends in record.looked_at()), strict=True):
         states = run(ex, flat.p, flat.on, flat.substep_s, begin, a, b)
-        for i in np.flatnonzero(states[:-1, OMEGA] * states[1:, OMEGA] < 0.0).tolist():
-            near = states[i].copy()
-            near[[OMEGA, LOAD_OMEGA]] += step
-            after = run(ex, flat.p, flat.on, flat.substep_s, near, a + i, a + i + 2)[1]
-            lag, goes = step_of(ex.times_s[a + i + 1] - ex.times_s[a + i], DRIVEN, tau_s)
-            kept = (after[OMEGA] - states[i + 1, OMEGA]) / (step * (1.0 - goes / lag))
-            keeps[a + i] = float(np.clip(kept, 0.0, 1.0))
-    return keeps
+        steps, kept = np.diff(ex.times_s[a:b]), speed_kept(ex, flat.p, flat.on, flat.substep_s, states, step, a)
+        turns = states[:-1, OMEGA] * states[1:, OMEGA] < 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = np.where(kept < 1.0, -steps / np.log(kept), np.inf)
+        own = np.where((kept > 0.0) & ~turns, np.clip(own, SHORTEST * tau_s, LONGEST * tau_s), lags[a : b - 1])
+        lags[a : b - 1] = own
+        keeps[a : b - 1] = np.where(turns, np.clip(kept / np.exp(-steps / own), 0.0, 1.0), 1.0)
+    return Movement(lags, keeps)
 
 
-def movement(
-    records: Sequence[Record], model: Model, starts: Sequence[Start], how: Sequence[np.ndarray]
-) -> tuple[Movement, ...]:
-    """How a model's shaft moves in the windows of each record: it stands where ``how`` (n each) says."""
-    keeps = each(lambda i: turning(records[i], model, starts[i]), range(len(records)))
-    return tuple(Movement(moves, kept) for moves, kept in zip(how, keeps, strict=True))
+def at_rest(moves: Movement, stands: np.ndarray) -> Movement:
+    """The same movement but for where the shaft ``stands`` (n)."""
+    return Movement(np.where(stands, 0.0, moves.lag_s), moves.keeps)

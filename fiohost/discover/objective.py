@@ -170,7 +170,7 @@ class Windows(Logs):
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)
         # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
-        self._how: list[np.ndarray] | None = None
+        self._stands: list[np.ndarray] | None = None
         self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
         self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
 
@@ -179,8 +179,8 @@ class Windows(Logs):
         return self.settings.margin_in_windows
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        found = settle(fitted, self.records, self._how, bare_first=not whitened)
-        self._how = [m.how for m in found.moving]
+        found = settle(fitted, self.records, self._stands, bare_first=not whitened)
+        self._stands = [m.stands for m in found.moving]
         return State(found.fit, found.deviance, found.records, found.noise, found.moving, found.bare)
 
     def screens(self, state: State) -> list[Screen]:

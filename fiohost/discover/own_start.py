@@ -15,7 +15,7 @@ import numpy as np
 
 from fiohost.discover.folds import piece
 from fiohost.discover.metrics import Judgement, judge, pool
-from fiohost.discover.movement import movement, moving
+from fiohost.discover.movement import at_rest, movement, standing
 from fiohost.discover.whitened import with_noise
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
@@ -139,8 +139,8 @@ def _most_likely(record: Record, model: Model, noise: Noise, settings: OwnSettin
     own = replace(model, fixed=frozenset(key for key in model.values if key not in keys))
     bare = replace(record, disturbance=None, every=1)
     begun = fit(own, [bare], windows=True, max_iterations=1, tolerance=ENDLESS).starts
-    moves = movement([bare], own, begun, [moving(bare, own, begun[0], noise.torque_pct.value)])
-    (record,) = with_noise([bare], own, replace(noise, runs=NO_SCATTER), moves)
+    moves = at_rest(movement(bare, own, begun[0]), standing(bare, own, begun[0], noise.torque_pct.value))
+    (record,) = with_noise([bare], own, replace(noise, runs=NO_SCATTER), [moves])
     lower, upper = (np.array([getattr(model.parameter(k), end) for k in keys]) for end in ("lower", "upper"))
 
     def seen_at(here: np.ndarray, starts: Sequence[Start]) -> tuple[float, Fit]:

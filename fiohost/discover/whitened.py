@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.movement import coasting, movement, moving, simulated_in_windows
+from fiohost.discover.movement import at_rest, coasting, movement, simulated_in_windows, standing
 from fiohost.discover.replica import another_day, replica
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
@@ -25,7 +25,7 @@ from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.covariance import Movement
 from fiohost.noise.disturbance import Disturbance
-from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, grouped, pieces
+from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, pieces
 from fiohost.noise.runs import (
     NO_PULL,
     NO_SCATTER,
@@ -87,15 +87,28 @@ def motor_of(record: Record, model: Model) -> Motor:
     return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), record.kind, record.quantum, record.sample_time_s)
 
 
-def noise_of(model: Model, starts: Sequence[Start], records: Sequence[Record], runs: RunToRun = NO_SCATTER) -> Noise:
-    """The noise that a fitted model leaves in windows of records, what differs between ``runs`` taken out."""
+def movements(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> list[Movement]:
+    """How a model's shaft moves in the windows of each record, nowhere at rest."""
+    return each(lambda i: movement(records[i], model, starts[i]), range(len(records)))
+
+
+def noise_of(
+    model: Model,
+    starts: Sequence[Start],
+    records: Sequence[Record],
+    runs: RunToRun = NO_SCATTER,
+    moves: Sequence[Movement] = (),
+) -> Noise:
+    """The noise that a fitted model leaves in windows of records, what differs between ``runs`` taken out; ``moves``
+    where it is known how its shaft does.
+    """
     found: list[Group] = []
-    for record, start in zip(records, starts, strict=True):
+    for record, start, path in zip(records, starts, moves or movements(records, model, starts), strict=True):
         own = varied(model, runs.by_run.get(run_of(record.name), np.zeros(3)))
         residual, speed = simulated_in_windows(record, own, start)
         motor = motor_of(record, model)
         driven = np.where(coasting(record), 0.0, speed)
-        found += grouped(pieces(residual, driven, record.windows, motor), motor)
+        found += pieces(residual, driven, path.lag_s, record.windows, motor)
     declared = {r.noise_rms for r in records}
     return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
 
@@ -181,11 +194,11 @@ def plain(records: Sequence[Record]) -> list[Record]:
 def settle(
     found: Fit,
     records: Sequence[Record],
-    how: Sequence[np.ndarray] | None = None,
+    stands: Sequence[np.ndarray] | None = None,
     rounds: int = WHITENING.rounds,
     bare_first: bool = True,
 ) -> Settled:
-    """Carry a fit on to windows whitened by what it leaves, in turns; ``how`` (n each) is how the shaft moves
+    """Carry a fit on to windows whitened by what it leaves, in turns; ``stands`` (n each) is where the shaft does,
     where another model's is to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
     bare = plain(records)
@@ -193,6 +206,7 @@ def settle(
     fitted = plainly = fit(
         found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance, zeros=False
     )
+    paths = movements(bare, fitted.model, fitted.starts)
     moves: tuple[Movement, ...] = ()
     whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
     several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
@@ -200,15 +214,15 @@ def settle(
     for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
             alone = each_alone(around_runs(fitted, bare, alone)[1])
-        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, alone)
+        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, alone, paths)
         if turn > 0 and not several and noise.near(was, WHITENING.settled):
             noise = was
             break
         if not moves:
-            if how is None:
+            if stands is None:
                 rms = noise.torque_pct.value
-                how = [moving(r, fitted.model, s, rms) for r, s in zip(bare, fitted.starts, strict=True)]
-            moves = movement(bare, fitted.model, fitted.starts, how)
+                stands = [standing(r, fitted.model, s, rms) for r, s in zip(bare, fitted.starts, strict=True)]
+            moves = tuple(map(at_rest, paths, stands))
         whitened, model = with_noise(bare, fitted.model, noise, moves), fitted.model
         if several:
             model, noise, whitened = with_runs(fitted, whitened, noise, was.runs)

@@ -80,7 +80,8 @@ class Tangent:
         """How (k) a speed at its beginning moves a window's output where nothing but the lag slows the shaft."""
         times, tau_s = self.record.excitation.times_s, max(float(self.flat.p[TAU]), 1e-9)
         since = times[self.rows] - times[self.firsts][self.window]
-        return tau_s * -np.expm1(-since / tau_s) if self.record.kind == ANGLE else np.exp(-since / tau_s)
+        left = np.exp(-since / tau_s)
+        return np.asarray(tau_s * (1.0 - left) if self.record.kind == ANGLE else left)
 
     def _outputs(self, flat: Flat, begins: np.ndarray) -> np.ndarray:
         """Outputs (k) of windows that begin so."""

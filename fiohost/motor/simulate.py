@@ -165,6 +165,41 @@ def _run_loaded(  # type: ignore[no-untyped-def]
         kernel.simulate(times, act_times, duties, modes, clock, i, i + 2, state, substep, p, on, at)
 
 
+def speed_kept(
+    excitation: Excitation,
+    p: np.ndarray,
+    on: np.ndarray,
+    substep_s: float,
+    states: np.ndarray,
+    step_deg_s: float,
+    first: int,
+) -> np.ndarray:
+    """Which share (n - 1) of a small change of speed is there one sample later, along a run's ``states`` (n,
+    STATE_SIZE) from sample ``first`` on; motor and load are changed together.
+    """
+    ex, kept = excitation, np.empty(len(states) - 1)
+    _speed_kept(
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, first, states, step_deg_s,
+        np.empty(WORK_SIZE), substep_s, p, on, np.empty((2, STATE_SIZE)), kept,
+    )  # fmt: skip
+    return kept
+
+
+@compiled
+def _speed_kept(  # type: ignore[no-untyped-def]
+    times, act_times, duties, modes, clock, first, states, step, state, substep, p, on, at, kept
+):
+    for i in range(states.shape[0] - 1):
+        for k in range(WORK_SIZE):
+            state[k] = states[i, k] if k < STATE_SIZE else 0.0
+        state[OMEGA] += step
+        state[LOAD_OMEGA] += step
+        kernel.simulate(
+            times, act_times, duties, modes, clock, first + i, first + i + 2, state, substep, p, on, at
+        )  # fmt: skip
+        kept[i] = (at[1, OMEGA] - states[i + 1, OMEGA]) / step
+
+
 def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float = 0.0) -> np.ndarray:
     """Angle (n) of the shaft as the encoder would see it without quantisation, in degrees."""
     p, on = model.vector(), model.switches()

@@ -16,24 +16,26 @@ import numpy as np
 from fiohost.motor.compiled import compiled, inlined
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
-REST, DRIVEN, COASTS = 0, 1, 2
-# A shaft that coasts has no back-emf to brake it: so many times the lag, and the gain with it.
-OPEN = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """How a shaft moves from each sample to the next: at rest, driven or coasting (``how``, n), and which share it
-    keeps there (``keeps``, n) of what is off in its speed, beside what its lag takes.
+    """How a shaft moves from each sample to the next: the lag with which what is off in its speed dies away (``lag_s``,
+    n; 0 where it stands; long where it coasts), and which share of that it keeps beside (``keeps``, n).
     """
 
-    how: np.ndarray
+    lag_s: np.ndarray
     keeps: np.ndarray
 
     @classmethod
-    def steady(cls, samples: int) -> Movement:
+    def steady(cls, samples: int, tau_s: float) -> Movement:
         """Driven on all the way."""
-        return cls(np.full(samples, DRIVEN), np.ones(samples))
+        return cls(np.full(samples, tau_s), np.ones(samples))
+
+    @property
+    def stands(self) -> np.ndarray:
+        """Whether (n) the shaft stands."""
+        return np.asarray(self.lag_s <= 0.0)
 
 
 def response(times_s: np.ndarray, moving: Movement, gain: float, tau_s: float, kind: int) -> np.ndarray:
@@ -44,25 +46,24 @@ def response(times_s: np.ndarray, moving: Movement, gain: float, tau_s: float, k
     """
     n = len(times_s)
     speed, angle = np.zeros((n, n)), np.zeros((n, n))
-    _responses(times_s, moving.how, moving.keeps, gain, tau_s, angle, speed)
+    _responses(times_s, moving.lag_s, moving.keeps, gain, tau_s, angle, speed)
     return _seen(times_s, angle, speed, kind)
 
 
 @inlined
-def step_of(step, how, tau_s):  # type: ignore[no-untyped-def]
-    """Lag of a shaft that moves so, and how far one of unit speed goes in a ``step``."""
-    lag = tau_s * (OPEN if how == COASTS else 1.0)
-    return lag, -lag * np.expm1(-step / lag)
+def way(step, lag):  # type: ignore[no-untyped-def]
+    """How far a shaft of unit speed goes in a ``step``."""
+    return -lag * np.expm1(-step / lag)
 
 
 @compiled
-def _responses(times_s, how, keeps, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+def _responses(times_s, lags, keeps, gain, tau_s, angle, speed):  # type: ignore[no-untyped-def]
     for k in range(len(times_s) - 1):
-        step = times_s[k + 1] - times_s[k]
+        step, lag = times_s[k + 1] - times_s[k], lags[k]
         for i in range(k):
             angle[k + 1, i] = angle[k, i]
-        if how[k] != REST:
-            lag, goes = step_of(step, how[k], tau_s)
+        if lag > 0.0:
+            goes = way(step, lag)
             full = gain * lag / tau_s
             for i in range(k):
                 angle[k + 1, i] += 0.5 * (1.0 + keeps[k]) * goes * speed[k, i]
@@ -72,20 +73,20 @@ def _responses(times_s, how, keeps, gain, tau_s, angle, speed):  # type: ignore[
 
 
 @compiled
-def _follows(times_s, how, keeps, tau_s, angle, speed):  # type: ignore[no-untyped-def]
+def _follows(times_s, lags, keeps, angle, speed):  # type: ignore[no-untyped-def]
     for k in range(len(times_s) - 1):
-        angle[k + 1] = angle[k]
-        if how[k] != REST:
-            lag, goes = step_of(times_s[k + 1] - times_s[k], how[k], tau_s)
+        angle[k + 1], lag = angle[k], lags[k]
+        if lag > 0.0:
+            goes = way(times_s[k + 1] - times_s[k], lag)
             angle[k + 1] += 0.5 * (1.0 + keeps[k]) * goes * speed[k]
             speed[k + 1] = keeps[k] * (1.0 - goes / lag) * speed[k]
 
 
-def starts(times_s: np.ndarray, moving: Movement, tau_s: float, kind: int) -> np.ndarray:
+def starts(times_s: np.ndarray, moving: Movement, kind: int) -> np.ndarray:
     """Columns (n, 1..2) by which the output follows the angle and the speed at the first sample."""
     speed, angle = np.zeros((len(times_s), 1)), np.zeros((len(times_s), 1))
     speed[0] = 1.0
-    _follows(times_s, moving.how, moving.keeps, tau_s, angle[:, 0], speed[:, 0])
+    _follows(times_s, moving.lag_s, moving.keeps, angle[:, 0], speed[:, 0])
     by_speed = _seen(times_s, angle, speed, kind)
     if kind == MEAN_SPEED:  # the first was measured before the window began
         return np.column_stack((by_speed, np.arange(len(times_s)) == 0))

@@ -96,36 +96,41 @@ class Group:
 def pieces(
     residual: np.ndarray,
     speed: np.ndarray,
+    lag_s: np.ndarray,
     edges: np.ndarray,
     motor: Motor,
     settings: NoiseSettings = SETTINGS,
-) -> list[np.ndarray]:
-    """Pieces of steady motion, of one of the settled lengths each.
+) -> list[Group]:
+    """Pieces of steady motion, of one of the settled lengths each, those of one length and lag together.
 
     ``residual`` (n) is what windows with free angle and speed leave, ``speed`` (n) the model's in the output's unit per
-    second, ``edges`` (m + 1) those of the windows. Where the model stands, turns or creeps there is no piece: counts do
-    not err at random there, and the shaft may have turned while the model did not.
+    second and ``lag_s`` (n) that with which it settles, ``edges`` (m + 1) those of the windows. Where the model stands,
+    turns or creeps there is no piece: counts do not err at random there, and the shaft may have turned while the model
+    did not.
     """
     lengths = sorted({max(round(s / motor.step_s), settings.shortest_samples) for s in settings.lengths_s})
     slowest = settings.slowest_share * float(np.max(np.abs(speed), initial=0.0))
     if motor.kind == covariance.ANGLE:
         slowest = max(slowest, settings.slowest_counts * motor.quantum / motor.step_s)
     way = np.sign(speed) * (np.abs(speed) > slowest)
-    found = []
+    found: dict[int, list[tuple[np.ndarray, float]]] = {}
     for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         turns = [a, *(a + 1 + np.flatnonzero(np.diff(way[a:b]))).tolist(), b]
         for first, last in zip(turns[:-1], turns[1:], strict=True):
             while last - first >= lengths[0] and way[first] != 0.0:
                 n = max(length for length in lengths if length <= last - first)
-                found.append(residual[first : first + n])
+                longer = max(float(np.median(lag_s[first : first + n])), 1e-9) / motor.tau_s
+                found.setdefault(round(np.log(longer) / settings.lags_apart), []).append(
+                    (residual[first : first + n], longer)
+                )
                 first += n
-    return found
-
-
-def grouped(parts: Sequence[np.ndarray], motor: Motor) -> list[Group]:
-    """Pieces of one motor by their lengths."""
-    lengths = sorted({len(p) for p in parts})
-    return [Group(np.column_stack([p for p in parts if len(p) == n]), motor) for n in lengths]
+    groups = []
+    for alike in sorted(found.values(), key=lambda parts: sum(len(p) for p, _ in parts))[-settings.most_lags :]:
+        longer = float(np.median([one for _, one in alike]))
+        there = replace(motor, gain=motor.gain * longer, tau_s=motor.tau_s * longer)
+        for n in sorted({len(p) for p, _ in alike}):
+            groups.append(Group(np.column_stack([p for p, _ in alike if len(p) == n]), there))
+    return groups
 
 
 def _merged(groups: Sequence[Group]) -> list[Group]:
@@ -141,8 +146,8 @@ def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) 
     """Of pieces of n samples: the basis (n, m) outside their starts in which the torque's covariance is diagonal, and
     that diagonal (m) for 1 % and a motor of unit gain.
     """
-    times, moving = np.arange(n) * step_s, covariance.Movement.steady(n)
-    free = covariance.outside(covariance.starts(times, moving, tau_s, kind))
+    times, moving = np.arange(n) * step_s, covariance.Movement.steady(n, tau_s)
+    free = covariance.outside(covariance.starts(times, moving, kind))
     acts = free.T @ covariance.response(times, moving, 1.0, tau_s, kind)
     values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)
     return free @ vectors, np.maximum(values, 0.0)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from fiohost.motor.compiled import compiled, inlined
-from fiohost.noise.covariance import ANGLE, MEAN_SPEED, REST, SPEED, step_of
+from fiohost.noise.covariance import ANGLE, MEAN_SPEED, SPEED, way
 
 # States: seen, speed, torque; of a mean speed also the errors of the counts at its end and at its beginning.
 STATES, COUNTED = 3, 5
@@ -98,7 +98,7 @@ def _variance(p, weight):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def follow(times, how, keeps, rows, begins, gain, tau, kind, torque_s, links):  # type: ignore[no-untyped-def]
+def follow(times, lags, keeps, rows, begins, gain, tau, kind, torque_s, links):  # type: ignore[no-untyped-def]
     """``links`` (n, LINKS) from each of the ``rows`` (n) of a record to the next one; ``begins`` (n) says where a
     window does. From one window to the next only the torque is kept.
     """
@@ -113,10 +113,10 @@ def follow(times, how, keeps, rows, begins, gain, tau, kind, torque_s, links):  
         if begins[at + 1]:
             continue
         links[at, 0] = 1.0 if kind == ANGLE else 0.0
-        if how[row] == REST:
+        lag = lags[row]
+        if lag <= 0.0:
             continue
-        lag, goes = step_of(step, how[row], tau)
-        full = gain * lag / tau
+        goes, full = way(step, lag), gain * lag / tau
         links[at, 3], links[at, 4] = (1.0 - goes / lag) * keeps[row], full * goes / lag
         if kind == SPEED:
             links[at, 1], links[at, 2] = links[at, 3], links[at, 4]

@@ -13,6 +13,10 @@ class NoiseSettings:
     # free angle and speed leave nothing of a torque.
     lengths_s: tuple[float, ...] = (0.1, 0.2, 0.4, 0.7, 1.0)
     shortest_samples: int = 8
+    # Pieces in which speeds settle with lags this close, in logarithms, are taken for one; so many lags at most, those
+    # of most samples: each takes covariances of its own.
+    lags_apart: float = 0.5
+    most_lags: int = 3
     # Below this speed in counts a sample the counts' error is a sawtooth and not white (Widrow and Kollar 2008, 19).
     slowest_counts: float = 0.5
     # Below this share of the top speed a torque of some percent may turn the shaft, and dry friction with it.

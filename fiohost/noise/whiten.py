@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fiohost.noise.covariance import MEAN_SPEED, REST, Movement
+from fiohost.noise.covariance import MEAN_SPEED, Movement
 from fiohost.noise.estimate import Motor, Noise
 from fiohost.noise.innovations import COUNTED, LINKS, STATES, filters, follow, innovations
 from fiohost.noise.settings import SETTINGS, NoiseSettings
@@ -45,14 +45,14 @@ class Whitener:
         torque, count = noise.torque_pct.value**2, motor.quantum**2 / 12.0
         at_start = min(noise.torque_pct.value, SETTINGS.most_at_start_pct) ** 2
         follow(
-            times_s, moving.how, moving.keeps, self._rows, begins, motor.gain, motor.tau_s, motor.kind,
+            times_s, moving.lag_s, moving.keeps, self._rows, begins, motor.gain, motor.tau_s, motor.kind,
             noise.torque_s.value, self._links,
         )  # fmt: skip
         own = np.full(n, noise.sensor.value**2)
         own += 0.0 if motor.kind == MEAN_SPEED else count / self._weights**2
         self._gains, self._scales, sure = np.zeros((n, states)), np.zeros(n), np.ones(n)
         determinant = filters(
-            self._weights, begins, moving.how[self._rows] == REST, self._links, own, count, torque, at_start,
+            self._weights, begins, moving.stands[self._rows], self._links, own, count, torque, at_start,
             motor.kind, motor.tau_s, self._gains, self._scales, sure, np.zeros((states, states)),
         )  # fmt: skip
         self.log_determinant = float(determinant)

@@ -52,7 +52,7 @@ class Whitening:
         if key not in self._known:
             n = len(times_s)
             ends = (np.array([0]), np.array([n]))
-            steady = Movement.steady(n)
+            steady = Movement.steady(n, self.motor.tau_s)
             self._known[key] = Whitener(times_s, steady, np.ones(n), *ends, self.motor, self.noise)
         return self._known[key].apply(series)
 

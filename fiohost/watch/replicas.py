@@ -33,8 +33,7 @@ def drifting_run(
     the last serves for all that follows.
     """
     times = record.excitation.times_s
-    disturbed = noise is not None and noise.torque_pct.value > 0.0
-    torque = draw_torque(times, noise, rng) if disturbed else None
+    torque = draw_torque(times, noise, rng) if noise and noise.torque_pct.value > 0.0 else None
     edges = np.searchsorted(times, times[0] + PIECE_S * np.arange(1, len(models)) - 1e-9)
     edges = np.unique(np.concatenate(([0], np.minimum(edges, len(times) - 1), [len(times) - 1])))
     y = np.empty(len(times))
