@@ -60,7 +60,7 @@ def replica(
     """
     noise, own = (record.disturbance.noise, record.disturbance.own) if record.disturbance else (None, None)
     if noise and noise.runs.known:
-        model = varied(model, own.values if own else drawn_run(noise, rng))
+        model = varied(model, own.values if own else noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
     shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
     begin = start._replace(angle=start.angle + shift)
     if noise and noise.torque_pct.value > 0.0:
@@ -76,26 +76,22 @@ def replica(
     return quantise(record, truth)
 
 
-def drawn_run(noise: Noise, rng: np.random.Generator) -> np.ndarray:
-    """What is a run's own (3), one draw."""
-    return np.asarray(noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
-
-
 def another_day(records: Sequence[Record], rng: np.random.Generator, *, open_noise: bool = True) -> list[Record]:
-    """The records as another day would give them: what is each run's own is drawn anew, and the noise is what it may
-    be, as far as the data leave that open; the likeliest where it is not an ``open_noise``.
+    """The records as another day would give them: what is each run's own is drawn anew, from as wide a scatter as a few
+    runs leave open, and the noise is what it may be, as far as the data leave that open; the likeliest where it is not
+    an ``open_noise``.
     """
     if all(r.disturbance is None for r in records):
         return list(records)
     drawn: dict[str, np.ndarray] = {}
     found, u = [], float(rng.random())
+    sd = next(r.disturbance.noise.runs.likely_sd(rng) for r in records if r.disturbance is not None)
     for record in records:
         disturbance = record.disturbance
         if disturbance is not None:
             own = disturbance.own
             if own is not None:
-                name = run_of(record.name)
-                own = replace(own, values=drawn.setdefault(name, drawn_run(disturbance.noise, rng)))
+                own = replace(own, values=drawn.setdefault(run_of(record.name), sd * rng.standard_normal(len(sd))))
             noise = disturbance.noise.drawn(u) if open_noise else disturbance.noise
             record = replace(record, disturbance=replace(disturbance, noise=noise, own=own))
         found.append(record)

@@ -57,6 +57,11 @@ class RunToRun:
     def known(self) -> bool:
         return bool(np.any(self.sd > 0.0))
 
+    def likely_sd(self, rng: np.random.Generator) -> np.ndarray:
+        """Standard deviations (3) as they may be, one draw: few runs say little of how they scatter (Student 1908)."""
+        free = max(len(self.by_run) - 1, 1)
+        return np.asarray(self.sd * np.sqrt(free / rng.chisquare(free, len(self.sd))))
+
 
 NO_SCATTER = RunToRun(np.zeros(3), np.zeros((3, 2)))
 
