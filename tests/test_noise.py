@@ -123,6 +123,16 @@ def test_whitened_windows_are_white_and_of_unit_variance() -> None:
     assert not is_white(unevenness([whitener.apply(residual + wave)], [edges]), draws)
 
 
+def test_windows_that_leave_nothing_but_rounding_are_not_uneven() -> None:
+    rng, edges = np.random.default_rng(10), np.arange(0, 41 * WINDOW, WINDOW)
+    white = rng.standard_normal(40 * WINDOW)
+    resting = white.copy()
+    resting[: 20 * WINDOW] = 1e-6 * np.repeat(rng.standard_normal(20 * WINDOW // 10), 10)
+    assert unevenness([resting], [edges]) < 2.0 * unevenness([white], [edges])
+    swinging = white + 0.5 * np.sin(0.2 * np.arange(len(white)))
+    assert unevenness([swinging], [edges]) > 5.0 * unevenness([white], [edges])
+
+
 def test_a_window_s_own_start_leaves_nothing_whitened() -> None:
     motor = Motor(10.0, 0.08, covariance.ANGLE, 0.0, STEP_S)
     known = Noise(Ranged(0.1, 0.1, 0.1), Ranged(1.0, 1.0, 1.0), Ranged(0.2, 0.2, 0.2))

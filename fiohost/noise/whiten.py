@@ -74,18 +74,18 @@ def unevenness(
     each), pooled over all windows, squared and summed over lags (Box and Pierce 1970).
 
     No window counts for more than some standard deviations: one in which the shaft stuck, and the model's did not, says
-    nothing of all the others.
+    nothing of all the others. One that leaves less than all do in the mean counts for less: of a shaft that rests only
+    rounding is left, and that is not white.
     """
-    sums, windows = np.zeros(settings.lags), 0
-    for series, ends in zip(whitened, edges, strict=True):
-        for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-            part = series[a:b]
-            power = float(part @ part)
-            if len(part) <= settings.lags or power <= 0.0:
-                continue
-            along = np.array([float(part[k + 1 :] @ part[: -k - 1]) for k in range(settings.lags)]) / power
-            most = settings.most_of_a_window
-            sums += np.clip(np.sqrt(len(part)) * along, -most, most)
+    ends = [zip(e[:-1].tolist(), e[1:].tolist(), strict=True) for e in edges]
+    parts = [s[a:b] for s, pairs in zip(whitened, ends, strict=True) for a, b in pairs if b - a > settings.lags]
+    powers = [float(part @ part) for part in parts]
+    least = sum(powers) / max(sum(map(len, parts)), 1)
+    sums, windows, most = np.zeros(settings.lags), 0, settings.most_of_a_window
+    for part, power in zip(parts, powers, strict=True):
+        if power > 0.0:
+            along = np.array([float(part[k + 1 :] @ part[: -k - 1]) for k in range(settings.lags)])
+            sums += np.clip(np.sqrt(len(part)) * along / max(power, least * len(part)), -most, most)
             windows += 1
     return float(np.sum(sums**2)) / max(windows, 1)
 
