@@ -14,7 +14,7 @@ from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
 from fiohost.discover.metrics import pool
 from fiohost.discover.objective import WholeRuns
 from fiohost.errors import DataError
-from fiohost.estimation.record import pwm_of, record_from_log, with_bench_zero
+from fiohost.estimation.record import pwm_of, record_from_log, with_bench
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
@@ -36,9 +36,7 @@ def smallest_visible(
     declared = model if isinstance(model, Model) else Model.parse(str(model))
     sources = read_logs(logs, table_map)
     check_roles(sources, ())
-    records = with_bench_zero(
-        [record_from_log(log, name) for log, name in zip(sources, unique_names(sources), strict=True)]
-    )
+    records = with_bench([record_from_log(log, name) for log, name in zip(sources, unique_names(sources), strict=True)])
     declared = declared.on_axis(records[0].rotary).with_pwm(pwm_of(records))
     seconds = sum(r.seconds for r in records)
     with threadpool_limits(limits=1, user_api="blas"):

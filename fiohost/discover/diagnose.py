@@ -31,7 +31,7 @@ from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
-from fiohost.estimation.record import ANGLE, Record, pwm_of, speed_unit, with_bench_zero
+from fiohost.estimation.record import ANGLE, Record, pwm_of, speed_unit, with_bench
 from fiohost.estimation.seen import seen_of
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
@@ -154,7 +154,7 @@ def diagnose_records(
     units = {r.unit for r in (*train, *holdout)}
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
-    train, model = with_bench_zero(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
+    train, model = with_bench(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
         return _diagnose(

@@ -42,7 +42,7 @@ def piece(record: Record, first: int, end: int, name: str) -> Record:
         segments=record.segments[a:b],
     )
     if a == 0:
-        return found
+        return replace(found, begins=record.begins)
     duties, modes = found.excitation.duties_pct.copy(), found.excitation.modes.copy()
     duties[0], modes[0] = ex.duties_pct[a], ex.modes[a]
     return replace(found, at_rest=False, excitation=replace(found.excitation, duties_pct=duties, modes=modes))

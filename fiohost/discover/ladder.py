@@ -11,6 +11,7 @@ import numpy as np
 from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
 from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import WholeRuns, Windows
+from fiohost.discover.optimise import chosen_again
 from fiohost.discover.search import Node, Search
 from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
@@ -59,10 +60,12 @@ def searched(
     near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
 
     def as_whole_runs(node: Node) -> Node:
-        """What windows led to, fitted to whole runs."""
+        """What windows led to, fitted to whole runs; choices that windows hardly show are made anew there."""
         if node not in near:
             fitted = fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
             near[node] = Node(runs.settled(fitted), node.added)
+            if not whole.explains(near[node]):
+                near[node] = Node(runs.settled(chosen_again(fitted, runs.records)), node.added)
         return near[node]
 
     def enough(node: Node) -> bool:

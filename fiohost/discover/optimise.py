@@ -11,11 +11,11 @@ from fiohost.discover.screen import Score, Trial
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
-from fiohost.estimation.initial import guessed_warmth
+from fiohost.estimation.initial import guessed_warmth, has_own_warmth
 from fiohost.estimation.intervals import covariance
 from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
-from fiohost.motor.effect import Effect, Parameter
+from fiohost.motor.effect import Effect, Parameter, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -43,7 +43,7 @@ def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:
     if not flat.warms or Flat.of(found.model).warms:
         return list(found.starts)
     return [
-        s._replace(warmth=guessed_warmth(r, flat.from_zero(s.zero), s, r.y))
+        s._replace(warmth=guessed_warmth(r, flat.from_zero(s.zero), s, r.y)) if has_own_warmth(r, flat) else s
         for r, s in zip(records, found.starts, strict=True)
     ]
 
@@ -201,6 +201,14 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
     if not models:
         return found
     return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
+
+
+def chosen_again(found: Fit, records: Sequence[Record]) -> Fit:
+    """A model with each of its choices made as suits these records best."""
+    for of in map(effect, found.model.effects):
+        others = [_chosen_otherwise(found, of, p, choice, records) for p in of.parameters for choice in p.choices]
+        found = min((found, *others), key=lambda f: f.cost)
+    return found
 
 
 def searched_again(found: Fit, records: Sequence[Record]) -> Fit:

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from fiohost.errors import DataError
 from fiohost.estimation.predict import Begun, Flat, errors, windowed
 from fiohost.estimation.record import ANGLE, Record
-from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_zeros
+from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_origins
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
@@ -289,7 +289,9 @@ def fit(
     if not records:
         raise DataError("there is no log to fit")
     problem = _Problem(model, records, windows)
-    given = first_starts(problem.base, records) if starts is None else with_zeros(problem.base, records, starts, zeros)
+    given = (
+        first_starts(problem.base, records) if starts is None else with_origins(problem.base, records, starts, zeros)
+    )
     point = _Point(model.vector(), given)
     solved = _solve(problem, point, max_iterations, tolerance)
     for _ in range(PLAY_ROUNDS if lash and not windows else 0):

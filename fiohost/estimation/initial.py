@@ -81,6 +81,13 @@ def has_own_zero(record: Record, flat: Flat) -> bool:
     return record.own_zero and bool(flat.phases)
 
 
+def has_own_warmth(record: Record, flat: Flat) -> bool:
+    """Whether how warm a record began is unknown and matters: where the bench's time begins it is cold by definition,
+    as only differences are seen of what warms by time.
+    """
+    return flat.warms and not (record.begins and flat.warms_by_time)
+
+
 def _look_windows(record: Record, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Windows spread over a record in which the shaft moves: where each begins and ends, and its speed there (k)."""
     times, edges = record.excitation.times_s, record.windows
@@ -152,7 +159,7 @@ def initial_state(record: Record, flat: Flat, y: np.ndarray | None = None, *, ne
     zero = find_zero(record, flat, data, near.zero if near else None) if has_own_zero(record, flat) else None
     flat = flat.from_zero(zero)
     start = _first_second(record, flat, data, 0.0)._replace(zero=zero)
-    if not flat.warms:
+    if not has_own_warmth(record, flat):
         return start
     warmth = initial_warmth(record, flat, start, data, near.warmth if near else None)
     return _first_second(record, flat, data, warmth)._replace(zero=zero)

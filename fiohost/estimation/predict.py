@@ -30,6 +30,14 @@ from fiohost.noise.runs import shifted
 # What keeps more in mind than angle and speed.
 REMEMBERING = [i for i, item in enumerate(effects().values()) if item.remembers]
 
+# What warms with time alone, by what a parameter of it says: switch, slot, and the choice.
+BY_TIME = [
+    (i, slot(f"{item.name}.{q.name}"), float(q.choices.index("time")))
+    for i, item in enumerate(effects().values())
+    for q in item.parameters
+    if item.warms and "time" in q.choices
+]
+
 # A shaft may stand so far beyond an end of travel, for want of a finer sensor; and an end is not known to better than
 # some degrees where noise tells when the shaft came to it.
 END_SLACK_COUNTS, END_SLACK_DEG = 3.0, 5.0
@@ -89,6 +97,11 @@ class Flat:
     def remembers(self) -> bool:
         """Whether angle and speed are not all of the model's state."""
         return bool(self.on[REMEMBERING].any())
+
+    @property
+    def warms_by_time(self) -> bool:
+        """Whether how warm it is hangs on time alone: then how warm it was at first cannot be told from what it is."""
+        return any(self.on[index] and self.p[at] == choice for index, at, choice in BY_TIME)
 
     def orders(self) -> list[int]:
         """How often a turn everything repeats that is bound to the angle."""

@@ -48,8 +48,8 @@ class Record:
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero. ``pwm_hz`` is the frequency of the bridge's PWM, 0 where unknown.
-    ``weights`` (n) are by what whole runs weigh the readings' errors,
+    where on the bench's turn its angle is zero, ``begins`` that the bench's own time does with it. ``pwm_hz`` is the
+    frequency of the bridge's PWM, 0 where unknown. ``weights`` (n) are by what whole runs weigh the readings' errors,
     ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at. ``segments`` (n)
     number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
     ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
@@ -67,6 +67,7 @@ class Record:
     at_rest: bool
     rotary: bool
     own_zero: bool = False
+    begins: bool = False
     pwm_hz: float = 0.0
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     every: int = 1
@@ -331,8 +332,14 @@ def pwm_of(records: Sequence[Record]) -> float:
     return said[0] if said else 0.0
 
 
-def with_bench_zero(records: Sequence[Record]) -> list[Record]:
-    """The records, the first of them defining the bench's zero where all have zeros of their own."""
-    if not records or not all(r.own_zero for r in records):
-        return list(records)
-    return [replace(records[0], own_zero=False), *records[1:]]
+def with_bench(records: Sequence[Record]) -> list[Record]:
+    """The records of one bench: its time begins with the earliest of them, and the first defines its zero where all
+    have zeros of their own.
+    """
+    if not records:
+        return []
+    earliest = min(range(len(records)), key=lambda i: records[i].excitation.clock_s)
+    found = [replace(r, begins=i == earliest) for i, r in enumerate(records)]
+    if all(r.own_zero for r in found):
+        found[0] = replace(found[0], own_zero=False)
+    return found

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fiohost.estimation.initial import best_lash, find_zero, has_own_zero, initial_state
+from fiohost.estimation.initial import best_lash, find_zero, has_own_warmth, has_own_zero, initial_state
 from fiohost.estimation.predict import Flat, errors, free_output
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.tangent import Tangent
@@ -41,7 +41,7 @@ def start_columns(
     if not record.at_rest and not windows:
         step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
         columns.append(by(start._replace(speed=start.speed + step), step))
-    if flat.warms:
+    if has_own_warmth(record, flat):
         step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
         warmth = by(start._replace(warmth=start.warmth + step), step)
         pull = float(warmth @ residual)
@@ -78,7 +78,7 @@ def free_spans(record: Record, flat: Flat, columns: int) -> np.ndarray:
     """Standard deviations of what is free where windows begin (the last ``columns`` of ``start_columns``), were
     nothing known of it: uniform over all that it may be, a warmth from 0 to 1, a zero over the turn.
     """
-    spans = [1.0] if flat.warms else []
+    spans = [1.0] if has_own_warmth(record, flat) else []
     if has_own_zero(record, flat):
         spans.append(360.0 / max(flat.orders()))
     return np.asarray(np.array(spans[len(spans) - columns :]) / np.sqrt(12.0))
@@ -109,14 +109,15 @@ def taken_up_play(flat: Flat, records: Sequence[Record], starts: Sequence[Start]
     return found
 
 
-def with_zeros(flat: Flat, records: Sequence[Record], starts: Sequence[Start], looking: bool = True) -> list[Start]:
+def with_origins(flat: Flat, records: Sequence[Record], starts: Sequence[Start], looking: bool = True) -> list[Start]:
     """The starts with every log's own zero, where it matters and is not known yet, or where one order left it open and
-    ``looking`` says that others may not.
+    ``looking`` says that others may not; cold where a warmth is not the log's own.
     """
-    several = len(set(flat.orders())) > 1
-    return [
-        start._replace(zero=find_zero(record, flat, near=start.zero, closely=start.zero is None))
-        if has_own_zero(record, flat) and (start.zero is None or (looking and several))
-        else start
-        for record, start in zip(records, starts, strict=True)
-    ]
+    several, found = len(set(flat.orders())) > 1, []
+    for record, start in zip(records, starts, strict=True):
+        if has_own_zero(record, flat) and (start.zero is None or (looking and several)):
+            start = start._replace(zero=find_zero(record, flat, near=start.zero, closely=start.zero is None))
+        if flat.warms and not has_own_warmth(record, flat):
+            start = start._replace(warmth=0.0)
+        found.append(start)
+    return found

@@ -1,0 +1,54 @@
+"""How warm a motor is: what can be told of it, and what it follows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench_data import QUANTUM_DEG, measure, truth_model
+
+from fiohost.discover.optimise import chosen_again
+from fiohost.estimation.fit import fit
+from fiohost.estimation.intervals import estimates
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record, with_bench
+from fiohost.motor.simulate import Start
+
+GAIN = "linear.gain_deg_s_per_pct"
+WARMING = truth_model(
+    ("coulomb_friction", "gain_warm_up"),
+    {"gain_warm_up.ratio": -0.1, "gain_warm_up.time_constant_s": 6.0, "gain_warm_up.follows": "time"},
+)
+
+
+def begun(warmths: tuple[float, ...]) -> list[Record]:
+    """Runs of 12 s with rests, one for each warmth at its beginning, some seconds after each other."""
+    rng, records = np.random.default_rng(7), []
+    for i, warmth in enumerate(warmths):
+        levels = np.where(np.arange(12) % 3 == 2, 0.0, rng.uniform(20.0, 70.0, 12) * rng.choice([-1.0, 1.0], 12))
+        record = measure(WARMING, np.repeat(levels, 200), rng, name=f"run {i}")
+        record = replace(record, excitation=replace(record.excitation, clock_s=14.0 * i))
+        angle = free_output(record, Flat.of(WARMING), Start(0.1, 0.0, warmth=warmth))
+        records.append(replace(record, y=np.floor(angle / QUANTUM_DEG) * QUANTUM_DEG))
+    return records
+
+
+@pytest.mark.parametrize("windows", [False, True])
+def test_where_the_bench_s_time_begins_it_is_cold_so_that_gain_and_warming_can_be_told_apart(windows: bool) -> None:
+    records = with_bench(begun((0.0, 0.9)))
+    assert [r.begins for r in records] == [True, False]
+    found = fit(WARMING.with_values({GAIN: 10.2, "gain_warm_up.ratio": -0.05}), records, windows=windows)
+    gain = estimates(found)[GAIN]
+    assert gain.half_width < 0.02 * gain.value
+    assert gain.value == pytest.approx(10.6, rel=0.005)
+    assert found.starts[0].warmth == 0.0
+    assert found.starts[1].warmth == pytest.approx(0.9, abs=0.05)
+
+
+def test_a_warmth_that_windows_took_for_that_of_running_follows_time_in_whole_runs() -> None:
+    records = with_bench(begun((0.0, 0.9)))
+    wrong = fit(WARMING.with_values({"gain_warm_up.follows": "running"}), records)
+    right = chosen_again(wrong, records)
+    assert right.model.values["gain_warm_up.follows"] == "time"
+    assert right.rms < 0.2 < 0.5 * wrong.rms
