@@ -42,8 +42,14 @@ def searched(
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    runs = WholeRuns(train, rng)
-    whole = Search(runs, library, say, tolerance_pct=tolerance_pct)
+    runs, windows = WholeRuns(train, rng), Windows(train, np.random.default_rng(NOISE_SEED))
+
+    def pushed(node: Node) -> bool:
+        """Whether all that a structure leaves in windows is a random torque: no whole run can be followed then."""
+        found = windows.settled(fit(node.state.fit.model, windows.plain, windows=True, max_iterations=12))
+        return found.noise is not None and found.noise.torque_known and windows.white(found)
+
+    whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=pushed)
     root = whole.declared(model, from_file)
     if whole.explains(root):
         return whole.found(root, root)
@@ -55,7 +61,6 @@ def searched(
         if timed := _by_one_clock(runs, library, say, model, from_file):
             return timed
     say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
-    windows = Windows(train, np.random.default_rng(NOISE_SEED))
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
     near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
 

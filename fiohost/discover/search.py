@@ -100,7 +100,7 @@ Ranked = TypeVar("Ranked", Node, Child)
 
 class Search(Generic[J]):
     """One search over one evidence; ``tolerance_pct`` is the share of the motion that does not matter, ``enough`` says
-    of a node whether other evidence is explained by it.
+    of a node whether other evidence is explained by it, ``in_vain`` whether no structure can explain this one.
     """
 
     def __init__(
@@ -111,9 +111,10 @@ class Search(Generic[J]):
         *,
         tolerance_pct: float = 0.0,
         enough: Callable[[Node], bool] = lambda node: False,
+        in_vain: Callable[[Node], bool] = lambda node: False,
     ) -> None:
         self.evidence, self.library, self.say, self.tolerance_pct = evidence, library, say, tolerance_pct
-        self.enough = enough
+        self.enough, self.in_vain = enough, in_vain
         self.settings = evidence.settings
         self.told: list[Candidate] = []
 
@@ -128,7 +129,7 @@ class Search(Generic[J]):
     def run(self, root: Node) -> Node:
         """The best structure that the data speak for."""
         beam, best = [root], root
-        while len(best.added) < self.settings.most_effects and not self.explains(best):
+        while len(best.added) < self.settings.most_effects and not (self.explains(best) or self.in_vain(best)):
             beam = self.best_first(self.next_ones(beam))[: self.settings.beam]
             if not beam or (best is not root and beam[0].price >= best.price):
                 break
