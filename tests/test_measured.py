@@ -89,8 +89,8 @@ def test_the_held_out_error_falls_by_much_in_whole_runs_and_in_windows(told: dic
 
 def test_no_step_is_taken_that_makes_held_out_runs_worse(told: dict[str, Any]) -> None:
     figures = [told["before"]["holdout"]["window_rms"], *(s["after"]["holdout"]["window_rms"] for s in told["steps"])]
-    # Models are of the runs' mean, from which each run is a percent or so off.
-    assert all(after < 1.02 * before for before, after in zip(figures, figures[1:], strict=False))
+    # Models are of the runs' mean, from which each run is off: before friction is named, by a tenth of its gain.
+    assert all(after < 1.05 * before for before, after in zip(figures, figures[1:], strict=False))
     assert figures[-1] < 0.7 * figures[0]
 
 

@@ -45,7 +45,11 @@ def searched(
     runs, windows = WholeRuns(train, rng), Windows(train, np.random.default_rng(NOISE_SEED))
 
     def pushed(node: Node) -> bool:
-        """Whether all that a structure leaves in windows is a random torque: no whole run can be followed then."""
+        """Whether all that a structure leaves in windows is a random torque: no whole run can be followed then. Beside
+        one name that torque may still be another, which windows do not tell from it.
+        """
+        if len(node.added) < 2:
+            return False
         found = windows.settled(fit(node.state.fit.model, windows.plain, windows=True, max_iterations=12))
         return found.noise is not None and found.noise.torque_known and windows.white(found)
 
