@@ -16,8 +16,6 @@ from fiohost.noise.covariance import Movement
 from fiohost.noise.runs import varied
 
 WHITENING = SETTINGS.whitening
-# Lags of a speed that hardly settles, as one that coasts, and of one that does at once, as multiples of the motor's.
-LONGEST, SHORTEST = 1e3, 1e-2
 
 
 def simulated_in_windows(record: Record, model: Model, start: Start) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +58,8 @@ def movement(record: Record, model: Model, start: Start) -> Movement:
     """
     flat, ex = Flat.of(model).from_zero(start.zero), record.excitation
     tau_s, step = model.number("linear.tau_s"), speed_step(flat)
-    lags = np.where(coasting(record), LONGEST * tau_s, tau_s)
+    shortest, longest = (tau_s * lag for lag in WHITENING.lags)
+    lags = np.where(coasting(record), longest, tau_s)
     if not flat.on.any():
         return Movement(lags, np.ones(len(record)))
     record = replace(record, disturbance=None)
@@ -73,7 +72,7 @@ def movement(record: Record, model: Model, start: Start) -> Movement:
         turns = states[:-1, OMEGA] * states[1:, OMEGA] < 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             own = np.where(kept < 1.0, -steps / np.log(kept), np.inf)
-        own = np.where((kept > 0.0) & ~turns, np.clip(own, SHORTEST * tau_s, LONGEST * tau_s), lags[a : b - 1])
+        own = np.where((kept > 0.0) & ~turns, np.clip(own, shortest, longest), lags[a : b - 1])
         lags[a : b - 1] = own
         keeps[a : b - 1] = np.where(turns, np.clip(kept / np.exp(-steps / own), 0.0, 1.0), 1.0)
     return Movement(lags, keeps)

@@ -184,6 +184,8 @@ class WhitenSettings:
     settled_deviance: float = 0.2
     # A speed below this share of the top speed is a digit of rounding.
     stands: float = 1e-6
+    # Lags of a speed that settles at once, and of one that hardly does, as where it coasts, in those of the motor.
+    lags: tuple[float, float] = (1e-2, 1e3)
     # A shaft stands where a random torque of so many standard deviations does not turn it.
     rest_sigmas: float = 2.0
     # Samples of the whiteness test: enough to know a spread to a fifth; they have a stream of their own.
