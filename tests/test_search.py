@@ -9,7 +9,7 @@ from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
 from fiohost.discover.null import Null
 from fiohost.discover.score import Gain
-from fiohost.discover.search import Search
+from fiohost.discover.search import Node, Search
 from fiohost.estimation.fit import Fit
 from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
@@ -82,3 +82,16 @@ def test_an_effect_that_only_led_to_a_better_fit_of_another_is_not_named() -> No
     """Alone the first stops half-way, beside the other it does not, and from there the other is not needed."""
     search = Search(Table(), (FIRST, OTHER), lambda text: None)
     assert search.run(search.declared(Model(()), False)).names == {FIRST}
+
+
+def test_a_search_ends_where_no_structure_can_explain_the_data() -> None:
+    asked: list[frozenset[str]] = []
+
+    def in_vain(node: Node) -> bool:
+        asked.append(node.names)
+        return bool(node.added)
+
+    search = Search(Table(), (FIRST, OTHER), lambda text: None, in_vain=in_vain)
+    found = search.run(search.declared(Model(()), False))
+    assert (found.names, found.state.deviance) == ({FIRST}, 500.0)
+    assert asked == [frozenset(), {FIRST}]
