@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-SCHEMA = "fiohost.fleet_bench/3"
+SCHEMA = "fiohost.fleet_bench/4"
 ALL, NONE = "all", "none"
 
 
