@@ -91,15 +91,17 @@ def replica_errors(
     *,
     anywhere: bool = False,
     open_noise: bool = True,
+    open_runs: bool = False,
 ) -> list[np.ndarray]:
     """What a fitted model would leave of one draw of its own readings, for each record, as the fit weighs it."""
     flat = Flat.of(fitted.model)
+    days = another_day(records, rng, open_noise=open_noise, open_runs=open_runs)
     known: Sequence[np.ndarray | None] = [None] * len(records)
     if not anywhere and not fitted.windows:  # windows do not say where in its count a whole run stands
         known = fitted.errors(records)
     return [
         errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
-        for r, s, e in zip(another_day(records, rng, open_noise=open_noise), fitted.starts, known, strict=True)
+        for r, s, e in zip(days, fitted.starts, known, strict=True)
     ]
 
 

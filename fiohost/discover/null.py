@@ -55,8 +55,10 @@ def draw_null(
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
     def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
-        # What is gained is weighed by the noise that is found: it grows with that, whatever it is.
-        errors = replica_errors(fitted, records, rng, anywhere=True, open_noise=not scores)
+        # What is gained is weighed by the noise that is found: it grows with that, whatever it is. How runs scatter few
+        # of them say, and what they have in common is held against it.
+        asked = bool(scores)
+        errors = replica_errors(fitted, records, rng, anywhere=True, open_noise=not asked, open_runs=asked)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])

@@ -76,16 +76,19 @@ def replica(
     return quantise(record, truth)
 
 
-def another_day(records: Sequence[Record], rng: np.random.Generator, *, open_noise: bool = True) -> list[Record]:
-    """The records as another day would give them: what is each run's own is drawn anew, from as wide a scatter as a few
-    runs leave open, and the noise is what it may be, as far as the data leave that open; the likeliest where it is not
-    an ``open_noise``.
+def another_day(
+    records: Sequence[Record], rng: np.random.Generator, *, open_noise: bool = True, open_runs: bool = False
+) -> list[Record]:
+    """The records as another day would give them: what is each run's own is drawn anew, and the noise is what it may
+    be, as far as the data leave that open; the likeliest where it is not an ``open_noise``. With ``open_runs`` so does
+    how much runs scatter.
     """
     if all(r.disturbance is None for r in records):
         return list(records)
     drawn: dict[str, np.ndarray] = {}
     found, u = [], float(rng.random())
-    sd = next(r.disturbance.noise.runs.likely_sd(rng) for r in records if r.disturbance is not None)
+    runs = next(r.disturbance.noise.runs for r in records if r.disturbance is not None)
+    sd = runs.likely_sd(rng) if open_runs else runs.sd
     for record in records:
         disturbance = record.disturbance
         if disturbance is not None:
