@@ -155,3 +155,11 @@ def test_a_random_torque_is_a_load_whatever_the_bridge_makes_of_a_duty(name: str
     loaded = model.with_effect("constant_load", {"level_pct": -3.0 * np.random.default_rng(4).standard_normal()})
     drawn = disturbed_output(record, model, start, steady, np.random.default_rng(4))
     assert drawn == pytest.approx(free_output(record, Flat.of(loaded), start), abs=2e-2)
+
+
+def test_of_three_runs_a_scatter_is_drawn_as_wide_as_they_leave_it_open() -> None:
+    """A deviation over the scatter found is Student's of two degrees of freedom: 4.3 where a normal has 1.96."""
+    rng = np.random.default_rng(9)
+    few = RunToRun(np.ones(3), np.zeros((3, 2)), {f"run {k}": np.zeros(3) for k in range(3)})
+    drawn = np.array([few.likely_sd(rng) * rng.standard_normal(3) for _ in range(20000)])
+    assert np.quantile(np.abs(drawn), 0.95) == pytest.approx(4.30, rel=0.05)
