@@ -21,7 +21,7 @@ from fiohost.discover.moments import fit_event
 from fiohost.discover.optimise import rough_fit, thorough_fit, unstuck
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import Screen
-from fiohost.estimation.fit import Fit, fit, fit_from_scratch
+from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
@@ -72,6 +72,17 @@ def test_a_shaft_that_begins_warm_is_followed_from_its_first_second() -> None:
     warm = begun(record, truth, Start(0.2, 0.0, warmth=0.7))
     assert initial_state(warm, Flat.of(truth)).warmth == pytest.approx(0.7, abs=0.02)
     assert judge(warm, truth).errors.free_run_rms < 1.2 * COUNT_NOISE
+
+
+def test_a_model_that_runs_away_costs_infinitely_much_and_others_are_fitted_beside_it() -> None:
+    heats = {"gain_warm_up.ratio": 5.0, "gain_warm_up.time_constant_s": 5.0, "gain_warm_up.follows": "heat"}
+    away = truth_model(("coulomb_friction", "gain_warm_up"), heats)
+    records = suite(truth_model(), 3)
+    hot = [Start(0.0, 0.0, warmth=1.0)] * len(records)
+    for windows in (False, True):
+        assert unchanged(away, records, starts=hot, windows=windows).cost == float("inf")
+    # How warm it began is looked for past where it runs away.
+    assert fit(away, records, max_iterations=3).cost < float("inf")
 
 
 @pytest.mark.parametrize("windows", [True, False])

@@ -15,7 +15,7 @@ import numpy as np
 from fiohost.discover.screen import span_of
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
-from fiohost.estimation.predict import Flat, errors
+from fiohost.estimation.predict import Flat, errors, squared
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect, Parameter
 from fiohost.motor.model import Model
@@ -79,8 +79,7 @@ def _windows_of(model: Model, like: Fit, records: Sequence[Record]) -> list[np.n
 
 
 def _window_cost(model: Model, start: Start, record: Record) -> float:
-    error = errors(record, Flat.of(model), start, windows=True)
-    return float(error @ error)
+    return squared([errors(record, Flat.of(model), start, windows=True)])
 
 
 def _suggested(near: Fit, effect: Effect, moment: Parameter, records: Sequence[Record]) -> list[Model]:

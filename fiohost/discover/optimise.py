@@ -13,7 +13,7 @@ from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
 from fiohost.estimation.initial import guessed_warmth, has_own_warmth
 from fiohost.estimation.intervals import covariance
-from fiohost.estimation.predict import Flat, errors
+from fiohost.estimation.predict import Flat, errors, squared
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect, Parameter, effect
 from fiohost.motor.model import Model
@@ -28,13 +28,15 @@ OPTIMISER = SETTINGS.optimiser
 def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
     """Squared error with an effect at a trial size, offsets of whole runs apart."""
     model = base.model.with_effect(effect.name, trial)
-    flat, total = Flat.of(model), 0.0
-    for record, start in zip(records, _starts(base, model, records), strict=True):
+    flat = Flat.of(model)
+
+    def left(record: Record, start: Start) -> np.ndarray:
         error = errors(record, flat, start, base.windows)
-        if not base.windows:
-            error = error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
-        total += float(error @ error)
-    return total
+        if base.windows:
+            return error
+        return error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
+
+    return squared(map(left, records, _starts(base, model, records)))
 
 
 def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:

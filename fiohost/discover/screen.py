@@ -16,7 +16,7 @@ from fiohost.discover.lines import Series, clock_lines
 from fiohost.discover.missing_torque import missing_torque
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, errors, windowed
+from fiohost.estimation.predict import Flat, errors, squared, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Span, Value, effects
@@ -171,7 +171,7 @@ class Screen:
 
     def _cleaned(self, change: Sequence[np.ndarray]) -> np.ndarray:
         cleaned = self.clean(change)
-        raw = float(np.sqrt(sum(float(c @ c) for c in change)))
+        raw = np.sqrt(squared(change))  # infinite of a trial that runs away
         return cleaned if float(np.linalg.norm(cleaned)) > 1e-6 * raw else np.zeros_like(cleaned)
 
     def _single(self, effect: Effect, trial: Trial, change: Sequence[np.ndarray], one_sided: bool) -> Direction:

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost.errors import DataError
-from fiohost.estimation.predict import Begun, Flat, errors, windowed
+from fiohost.estimation.predict import Begun, Flat, errors, squared, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.starts import first_starts, moved_start, start_columns, taken_up_play, with_origins
 from fiohost.estimation.tangent import Tangent
@@ -161,11 +161,6 @@ class _Problem:
         return jacobians, nuisances
 
 
-def _sum_of_squares(residuals: Sequence[np.ndarray]) -> float:
-    with np.errstate(over="ignore", invalid="ignore"):  # a trial that runs away costs infinitely much
-        return float(sum(float(r @ r) for r in residuals))
-
-
 def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     """Columns (n, k) with their part along the nuisance columns (n, q) taken out."""
     if nuisance.shape[1] == 0:
@@ -176,7 +171,7 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
 
 def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: float) -> _Solved:
     residuals = problem.residuals(point)
-    cost = _sum_of_squares(residuals)
+    cost = squared(residuals)
     damping = 1e-4
     converged = False
     exactly = not problem.windows
@@ -233,7 +228,7 @@ def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: flo
                     record, flat, trial.starts[i], shift, problem.windows, REACH_SHRINKS**attempt
                 )
             new_residuals = problem.residuals(trial)
-            new_cost = _sum_of_squares(new_residuals)
+            new_cost = squared(new_residuals)
             if np.isfinite(new_cost) and new_cost <= cost:
                 improved = True
                 break

@@ -9,7 +9,7 @@ from math import gcd
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from fiohost.estimation.predict import Flat, errors, fitted_windows
+from fiohost.estimation.predict import Flat, errors, fitted_windows, squared
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.simulate import Start, start_state
 from fiohost.motor.state import GAP, SHARE, SMALLEST_SHARE
@@ -198,7 +198,7 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
         error, weights = errors(record, flat, start._replace(warmth=warmth), False, y), record.weights
         if record.kind == ANGLE:
             error = error - weights * float(error @ weights) / float(weights @ weights)
-        return float(error @ error)
+        return squared([error])
 
     reach = WARMTH_NEAR
     if near is None:
@@ -226,8 +226,7 @@ def _in_windows(record: Record, flat: Flat, start: Start, y: np.ndarray) -> Call
     record = replace(record, every=max(record.every, min(WARMTH_EVERY, len(record.windows) - 1)))
 
     def cost(warmth: float) -> float:
-        error = errors(record, flat, start._replace(warmth=warmth), True, y)
-        return float(error @ error)
+        return squared([errors(record, flat, start._replace(warmth=warmth), True, y)])
 
     return cost
 

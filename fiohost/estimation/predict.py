@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -242,6 +243,13 @@ def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: n
     if windows:
         return windowed(record, flat, start, y)[0]
     return np.asarray(record.weights * ((record.y if y is None else y) - free_output(record, flat, start)))
+
+
+def squared(parts: Iterable[np.ndarray]) -> float:
+    """The squared error of residuals (n each), summed up; that of a simulation that ran away is infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(sum(float(part @ part) for part in parts))
+    return total if np.isfinite(total) else float("inf")
 
 
 @dataclass(frozen=True)
