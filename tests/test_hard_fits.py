@@ -18,7 +18,9 @@ from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
 from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
-from fiohost.discover.optimise import rough_fit, thorough_fit, unstuck
+from fiohost.discover.optimise import begun as begun_fits
+from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
+from fiohost.discover.refit import Job
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import Screen
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
@@ -85,6 +87,29 @@ def test_a_model_that_runs_away_costs_infinitely_much_and_others_are_fitted_besi
     assert fit(away, records, max_iterations=3).cost < float("inf")
 
 
+def test_a_trial_begins_where_least_squares_have_the_model_beside_it_and_goes_on_where_it_may_do_as_well() -> None:
+    records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.04}), 4)
+    runs = objective.WholeRuns(records)
+    state = runs.declared(Model.parse("linear+coulomb_friction"), False)
+    screen = Screen(state.fit, records)
+    scores = {n: screen.score(effect(n)) for n in ("transport_delay", "parameter_change")}
+    at = state.fit.model.with_effect("transport_delay", scores["transport_delay"].trials[0])
+    alone, beside = (
+        cost_of(state.fit, model, records) for model in (at, at.with_values(scores["transport_delay"].own[0]))
+    )
+    assert beside < 0.1 * alone
+    jobs = [Job(s, state.fit, records) for s in scores.values()]
+    library, floor = runs.beside(state), runs.floor_rms(state)
+    right, hopeless = library.rough(jobs, floor)
+    assert right.rms < 1.1 * floor
+    assert hopeless.cost == begun_fits(state.fit, scores["parameter_change"], records)[0].cost
+    rival = runs.settled(fit(right.model, records))
+    (as_it_began,) = library.rough(jobs[1:], floor, rival)
+    assert as_it_began.cost == hopeless.cost
+    (gone,) = library.rough(jobs[1:], floor)
+    assert gone.cost < hopeless.cost
+
+
 @pytest.mark.parametrize("windows", [True, False])
 @pytest.mark.parametrize(
     ("swings", "size"),
@@ -118,7 +143,7 @@ def test_the_order_of_what_swings_is_found_though_others_score_higher(tmp_path: 
     base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
     score = Screen(base, records).score(effect("position_dependent_friction"))
     assert score.directions[0].trial["order"] != 4.0
-    found = rough_fit(base, score, records)
+    found = gone_on(begun_fits(base, score, records), records)
     assert found.model.values["position_dependent_friction.order"] == 4.0
     assert found.rms < 0.1 * base.rms
 
@@ -329,7 +354,8 @@ def test_a_springy_shaft_is_found_though_another_frequency_scores_more() -> None
     records = suite(truth_model(("coulomb_friction", "shaft_compliance"), shaft), 8)
     base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
     scored = Screen(base, records).score(effect("shaft_compliance"))
-    last = sorted(scored.trials, key=lambda t: -abs(float(t["resonance_hz"]) - 6.32))
+    begins = zip(scored.trials, scored.own, strict=True)
+    last, own = zip(*sorted(begins, key=lambda at: -abs(float(at[0]["resonance_hz"]) - 6.32)), strict=True)
     assert float(last[3]["resonance_hz"]) > 7.0
-    found = rough_fit(base, replace(scored, trials=tuple(last), raw=()), records)
+    found = gone_on(begun_fits(base, replace(scored, trials=last, own=own, raw=()), records), records)
     assert found.model.number("shaft_compliance.resonance_hz") == pytest.approx(6.32, rel=0.05)

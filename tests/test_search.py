@@ -68,7 +68,9 @@ class Beside:
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
         return [effects()[n] for n in library or () if n not in self.names], []
 
-    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
+    def refitted(
+        self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None
+    ) -> list[tuple[Effect, State]]:
         return [(effect, state([*self.names, effect.name])) for effect in offered]
 
     def passed_over(self) -> list[Candidate]:

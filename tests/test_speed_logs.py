@@ -8,7 +8,7 @@ from bench_data import measure, multisine, truth_model
 
 from fiohost.discover.metrics import judge
 from fiohost.discover.missing_torque import dependences
-from fiohost.discover.replica import replica
+from fiohost.discover.replica import Replicas
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, Record, make_record
 from fiohost.motor.model import Model
@@ -40,7 +40,7 @@ def speeds(truth: Model) -> Record:
 
 
 def test_counts_of_a_mean_speed_err_like_the_difference_of_two_readings(truth: Model, speeds: Record) -> None:
-    errors = replica(speeds, truth, Start(0.0, 0.0), np.random.default_rng(1)) - speeds.y
+    errors = Replicas(speeds, truth, Start(0.0, 0.0)).draw(np.random.default_rng(1)) - speeds.y
     assert np.std(errors) == pytest.approx(QUANTUM / np.sqrt(6.0), rel=0.15)
     assert np.max(np.abs(np.cumsum(errors))) <= 1.01 * QUANTUM, "counts do not get lost"
     assert np.corrcoef(errors[:-1], errors[1:])[0, 1] < -0.3

@@ -55,19 +55,21 @@ def to_and_fro(seed: int, torque_pct: float = 0.4) -> Record:
     return make_record(f"axis {seed}", times, duty, angle + 0.5 * QUANTUM_DEG, quantum=QUANTUM_DEG, at_rest=True)
 
 
-def slowly_pushed(seed: int) -> list[Record]:
-    """Two runs of 12 s of a motor that lacks nothing, under a random torque of 1 % and 0.5 s: as many wanderings as
-    that say little of how slow it is.
+def slowly_pushed(seed: int, runs: int = 2, load_pct: float = 0.0) -> list[Record]:
+    """Runs of 12 s of a motor with a load, under a random torque of 1 % and 0.5 s: as many wanderings as two of them
+    have say little of how slow it is.
     """
     rng = np.random.default_rng(seed)
     lag_s, friction_pct = rng.uniform(0.05, 0.15), rng.uniform(1.5, 4.0)
-    values = {"gain_deg_s_per_pct": 12.0, "tau_s": lag_s}
-    motor = Model(
-        ("coulomb_friction",),
-        {**{f"linear.{k}": float(v) for k, v in values.items()}, "coulomb_friction.level_pct": float(friction_pct)},
-    )
+    values = {
+        "linear.gain_deg_s_per_pct": 12.0,
+        "linear.tau_s": float(lag_s),
+        "coulomb_friction.level_pct": float(friction_pct),
+        "constant_load.level_pct": load_pct,
+    }
+    motor = Model(("coulomb_friction", "constant_load"), dict(values))
     records = []
-    for run in range(2):
+    for run in range(runs):
         times = np.arange(round(12.0 / STEP_S)) * STEP_S
         duty = np.repeat(rng.uniform(-40.0, 40.0, 30), 80)
         push, stays = np.zeros(len(times)), float(np.exp(-STEP_S / 0.5))
@@ -86,6 +88,16 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
     """
     found = diagnose_records(slowly_pushed(seed), (), Model(("coulomb_friction",)), library=())
     assert found.verdict == "no_missing_effect"
+
+
+def test_whole_runs_under_a_random_torque_are_not_begun_anew_in_before_windows_are_asked() -> None:
+    said: list[str] = []
+    library = ("constant_load", "quadratic_drag")
+    records = slowly_pushed(5, runs=3, load_pct=4.0)
+    found = diagnose_records(records, (), Model(("coulomb_friction",)), library=library, say=said.append)
+    assert ([s.effect for s in found.steps], found.verdict) == (["constant_load"], "explained")
+    assert "whole runs are far from the floor with every effect" in said
+    assert not any(text.startswith("beginning anew") for text in said)
 
 
 @pytest.fixture(scope="module")

@@ -79,9 +79,11 @@ class Beside(Protocol):
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
         """The effects that may be added, and those of which this evidence says nothing."""
 
-    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
-        """The best of them, each at its minimum; ``anew`` lets those begin from values of their own that come nowhere
-        near from these.
+    def refitted(
+        self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None
+    ) -> list[tuple[Effect, State]]:
+        """The best of them, each at its minimum; those that come nowhere near from here begin from values of their own,
+        unless there is a ``rival`` that they have to do as well as.
         """
 
     def passed_over(self) -> list[Candidate]:

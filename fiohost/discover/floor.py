@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.replica import another_day, replica
+from fiohost.discover.replica import Replicas, another_day
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
 from fiohost.estimation.repeats import repeats
 from fiohost.motor.effect import Value
@@ -81,40 +80,42 @@ def replica_models(
 
     ``anywhere`` lets the shaft stand anywhere within its count: how estimates scatter from one bench to the next.
     """
-    return [refitted(fitted, replica_errors(fitted, records, rng, anywhere=anywhere)) for _ in range(count)]
+    replicas = replicas_of(fitted, records, anywhere=anywhere)
+    return [refitted(fitted, replica_errors(fitted, replicas, rng)) for _ in range(count)]
+
+
+def replicas_of(fitted: Fit, records: Sequence[Record], *, anywhere: bool = False) -> list[Replicas]:
+    """Replicas of each of the records that were fitted; ``anywhere`` as for ``replica_models``."""
+    known: Sequence[np.ndarray | None] = [None] * len(records)
+    if not anywhere and not fitted.windows:  # windows do not say where in its count a whole run stands
+        known = fitted.errors(records)
+    return [Replicas(r, fitted.model, s, e) for r, s, e in zip(records, fitted.starts, known, strict=True)]
 
 
 def replica_errors(
     fitted: Fit,
-    records: Sequence[Record],
+    replicas: Sequence[Replicas],
     rng: np.random.Generator,
     *,
-    anywhere: bool = False,
     open_noise: bool = True,
     open_runs: bool = False,
 ) -> list[np.ndarray]:
     """What a fitted model would leave of one draw of its own readings, for each record, as the fit weighs it."""
-    flat = Flat.of(fitted.model)
-    days = another_day(records, rng, open_noise=open_noise, open_runs=open_runs)
-    known: Sequence[np.ndarray | None] = [None] * len(records)
-    if not anywhere and not fitted.windows:  # windows do not say where in its count a whole run stands
-        known = fitted.errors(records)
-    return [
-        errors(r, flat, s, fitted.windows, replica(r, fitted.model, s, rng, e))
-        for r, s, e in zip(days, fitted.starts, known, strict=True)
-    ]
+    days = another_day([r.record for r in replicas], rng, open_noise=open_noise, open_runs=open_runs)
+    return [r.left(rng, fitted.windows, day) for r, day in zip(replicas, days, strict=True)]
 
 
 def replica_floor(
     record: Record, model: Model, judgement: Judgement, models: Sequence[Model], rng: np.random.Generator
 ) -> Floor:
     """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it."""
-    start, residual, none = judgement.start, judgement.free_residual, np.empty(0)
+    start, none = judgement.start, np.empty(0)
+    replicas = Replicas(record, model, start, judgement.free_residual)
 
     def draw(judged_by: Model) -> Judgement:
         """One replica judged, without its arrays: of a long record, those of all would fill the memory."""
         (other,) = another_day([record], rng)
-        found = judge(record, judged_by, replica(other, model, start, rng, residual), near=start)
+        found = judge(record, judged_by, replicas.draw(rng, other), near=start)
         return replace(found, simulated=none, free_residual=none, window_residual=none)
 
     draws = tuple(draw(m) for m in models)

@@ -42,18 +42,28 @@ def searched(
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    runs, windows = WholeRuns(train, rng), Windows(train, np.random.default_rng(NOISE_SEED))
+    windows, put_off = Windows(train, np.random.default_rng(NOISE_SEED)), False
 
-    def pushed(node: Node) -> bool:
-        """Whether all that a structure leaves in windows is a random torque: no whole run can be followed then. Beside
-        one name that torque may still be another, which windows do not tell from it.
+    def pushed(model: Model) -> bool:
+        """Whether all that a model leaves in windows is a random torque: no whole run can be followed then."""
+        probe = Windows(train, np.random.default_rng(NOISE_SEED))
+        found = probe.settled(fit(model, probe.plain, windows=True, max_iterations=12))
+        return found.noise is not None and found.noise.torque_known and probe.white(found)
+
+    def anew(best: Fit) -> bool:
+        """Whether whole runs are worth beginning anew in before windows have been asked."""
+        nonlocal put_off
+        put_off = put_off or runs.few or pushed(best.model)
+        return not put_off
+
+    def in_vain(node: Node) -> bool:
+        """Whether no structure follows whole runs. Beside one name a random torque may still be another, which windows
+        do not tell from it.
         """
-        if len(node.added) < 2:
-            return False
-        found = windows.settled(fit(node.state.fit.model, windows.plain, windows=True, max_iterations=12))
-        return found.noise is not None and found.noise.torque_known and windows.white(found)
+        return len(node.added) > 1 and pushed(node.state.fit.model)
 
-    whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=pushed)
+    runs = WholeRuns(train, rng, anew)
+    whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
     root = whole.declared(model, from_file)
     if whole.explains(root):
         return whole.found(root, root)
@@ -83,7 +93,7 @@ def searched(
     by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
     begun = by_windows.declared(model, from_file)
     seen = by_windows.run(begun)
-    runs.anew = False  # windows have led near, or nothing does
+    runs.anew = lambda best: False  # windows have led near, or nothing does
     if exact and (seen.added or runs.few):  # else they have been asked from there
         again = as_whole_runs(seen)
         if not whole.explains(again):
@@ -96,8 +106,8 @@ def searched(
             return whole.found(root, again)
     found = by_windows.found(begun, seen)
     found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
-    if exact and runs.few and not (found.white and found.final.follows):
-        far = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct)
+    if exact and (runs.few or put_off) and not (found.white and found.final.follows):
+        far = Search(WholeRuns(train, rng, lambda best: True), library, say, tolerance_pct=tolerance_pct)
         best = far.run(root)
         if far.explains(best):
             return far.found(root, best)

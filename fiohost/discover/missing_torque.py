@@ -15,7 +15,7 @@ import numpy as np
 
 from fiohost.discover.levels import levels_of
 from fiohost.discover.metrics import Judgement, judge
-from fiohost.discover.replica import another_day, replica
+from fiohost.discover.replica import Replicas, another_day
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
 from fiohost.estimation.record import ANGLE, Record
@@ -307,7 +307,7 @@ def ruled(
 
     def draw(i: int) -> list[float]:
         days = zip(another_day(records, rngs[i]), models, starts, strict=True)
-        other = lacking(estimates[i], [replica(r, m, s, rngs[i]) for r, m, s in days])
+        other = lacking(estimates[i], [Replicas(r, m, s).draw(rngs[i]) for r, m, s in days])
         return [other.share(n) for n in shares]
 
     rngs = rng.spawn(len(estimates))

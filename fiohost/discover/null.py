@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.floor import replica_errors
+from fiohost.discover.floor import replica_errors, replicas_of
 from fiohost.discover.levels import levels_of
 from fiohost.discover.screen import Score, Screen, powers
 from fiohost.discover.settings import SETTINGS, SearchSettings
@@ -50,7 +50,7 @@ def draw_null(
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
     basis = np.concatenate(columns, axis=1)
     ends = np.cumsum([d.basis.shape[1] for d in directions])
-    edges = [r.windows for r in records]
+    edges, replicas = [r.windows for r in records], replicas_of(fitted, records, anywhere=True)
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
 
@@ -58,7 +58,7 @@ def draw_null(
         # What is gained is weighed by the noise that is found: it grows with that, whatever it is. How runs scatter few
         # of them say, and what they have in common is held against it.
         asked = bool(scores)
-        errors = replica_errors(fitted, records, rng, anywhere=True, open_noise=not asked, open_runs=asked)
+        errors = replica_errors(fitted, replicas, rng, open_noise=not asked, open_runs=asked)
         along = screen.clean(errors).astype(np.float32) @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])

@@ -7,7 +7,7 @@ that is left. Both give a deviance, -2 log likelihood but for a constant, and ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -35,11 +35,17 @@ from fiohost.noise.whiten import is_white, unevenness
 class Logs(Evidence[Stage]):
     """Training records, or pieces of them where they are few, as they are fitted."""
 
-    anew = False
-
-    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None) -> None:
+    def __init__(
+        self,
+        train: Sequence[Record],
+        rng: np.random.Generator | None = None,
+        anew: Callable[[Fit], bool] = lambda best: False,
+    ) -> None:
+        """``anew`` says whether candidates may begin from values of their own where none comes close, the best of them
+        included.
+        """
         super().__init__(rng)
-        self.train = train
+        self.train, self.anew = train, anew
         self.records, self.groups = folds(train)
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
 
@@ -114,13 +120,7 @@ class Logs(Evidence[Stage]):
 
 
 class WholeRuns(Logs):
-    """Free runs of whole records: counts are all that a true model leaves. ``anew`` lets candidates begin from values
-    of their own where none comes close: of few records only after windows, as much follows a few.
-    """
-
-    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None, *, anew: bool = False) -> None:
-        super().__init__(train, rng)
-        self.anew = anew or not self.few
+    """Free runs of whole records: counts are all that a true model leaves."""
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         n = max(fitted.samples, 1.0)

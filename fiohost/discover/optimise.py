@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fiohost.discover.folds import slices
-from fiohost.discover.screen import Score, Trial
+from fiohost.discover.screen import Score, Trial, varied
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
@@ -25,9 +25,8 @@ ENDLESS = 1e30
 OPTIMISER = SETTINGS.optimiser
 
 
-def _plain_cost(base: Fit, effect: Effect, trial: Trial, records: Sequence[Record]) -> float:
-    """Squared error with an effect at a trial size, offsets of whole runs apart."""
-    model = base.model.with_effect(effect.name, trial)
+def _plain_cost(base: Fit, model: Model, records: Sequence[Record]) -> float:
+    """Squared error of a model begun as a fit's, offsets of whole runs apart."""
     flat = Flat.of(model)
 
     def left(record: Record, start: Start) -> np.ndarray:
@@ -80,33 +79,47 @@ def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fa
     return unchanged(model, records, starts=starts, windows=windows, lash=lash, zeros=False, tolerance=tolerance).cost
 
 
-def rough_fit(base: Fit, score: Score, records: Sequence[Record]) -> Fit:
-    """The base model with one effect added: the best of a few steps from each of its best trials."""
-    if base.windows:  # nearly convex, and dearer: fewer starts will do
-        trials = [*score.trials[:1], *score.raw[:1], *score.trials[1:]]
-        trials = [t for i, t in enumerate(trials) if t not in trials[:i]][: OPTIMISER.window_starts]
-    else:
-        trials = [*score.trials]
-        looked = {i: _plain_cost(base, score.effect, t, records) for i, t in enumerate(score.raw) if t not in trials}
-        trials += [score.raw[i] for i in sorted(looked, key=lambda i: looked[i])[: OPTIMISER.raw_starts]]
-    models = [base.model.with_effect(score.effect.name, t) for t in trials]
+def begun(base: Fit, score: Score, records: Sequence[Record]) -> list[Fit]:
+    """The base model with one effect added, one step from each of its best beginnings; the best of them, which are to
+    go on. Windows are nearly convex: there one is enough.
+    """
+    fits = [again(base, m, records, 1, 1e-2) for m in _beginnings(base, score, records)]
+    return sorted(fits, key=lambda f: f.cost)[: 1 if base.windows else 2]
 
-    def some(model: Model, iterations: int) -> Fit:
-        return again(base, model, records, iterations, 1e-2)
 
-    # Windows are nearly convex: after one step the best start is known. Whole runs are not: two go on after two.
-    first, most = (1, 1) if base.windows else (2, 2)
-    if len(models) <= most:
-        return min((some(m, 5) for m in models), key=lambda f: f.cost)
-    ahead = sorted((some(m, first) for m in models), key=lambda f: f.cost)[:most]
-    further = [again(f, f.model, records, 5 - first, 1e-2) for f in ahead]
-    return min((*ahead, *further), key=lambda f: f.cost)
+def gone_on(ahead: Sequence[Fit], records: Sequence[Record]) -> Fit:
+    """The best of fits that were begun, after a few more steps of each."""
+    return min((*ahead, *(again(f, f.model, records, 4, 1e-2) for f in ahead)), key=lambda f: f.cost)
+
+
+def _beginnings(base: Fit, score: Score, records: Sequence[Record]) -> list[Model]:
+    """The base model with an effect at those trials that leave least, each with the model's own parameters as they are
+    or as least squares have them beside it; of what swings at all that score well, as no gradient leads from one order
+    to the next. In windows, which are nearly convex, scores say what is left.
+    """
+    of, trials = score.effect, [*score.trials, *(t for t in score.raw if t not in score.trials)]
+    owns: list[Trial] = [*score.own, *({} for _ in trials[len(score.own) :])]
+
+    def model(i: int, own: Trial) -> Model:
+        added = base.model.with_effect(of.name, trials[i])
+        return added.with_values({n: v for n, v in own.items() if n in added.values})
+
+    if base.windows:
+        best_first = dict.fromkeys((0, *(trials.index(t) for t in score.raw[:1]), *range(len(trials))))
+        return [model(i, {}) for i in best_first if i < len(trials)][: OPTIMISER.window_starts]
+    ways = [[model(i, own) for own in ({}, owns[i])[: 1 + bool(owns[i])]] for i in range(len(trials))]
+    costs = [[_plain_cost(base, m, records) for m in models] for models in ways]
+    order = varied(of, trials, sorted(range(len(trials)), key=lambda i: min(costs[i])))
+    most = max(OPTIMISER.starts, len(score.trials)) if of.couples or of.points else OPTIMISER.starts
+    # Where there are few trials, both ways: the one that leaves less at first may lead to another minimum.
+    found = [ways[i][int(np.argmin(costs[i]))] for i in order] + [ways[i][int(np.argmax(costs[i]))] for i in order]
+    return list({id(m): m for m in found}.values())[:most]
 
 
 def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], most: int) -> list[tuple[int, Fit]]:
-    """As ``rough_fit`` of several effects, but not from the base's values: those of a model that fits nothing lead
-    nowhere. All are fitted to windows of a part of the ``records``; the ``most`` that leave least there to all records,
-    in windows or whole as the base is; with their places among the ``scores``.
+    """The base model with each of several effects, but not from the base's values: those of a model that fits nothing
+    lead nowhere. All are fitted to windows of a part of the ``records``; the ``most`` that leave least there to all
+    records, in windows or whole as the base is; with their places among the ``scores``.
     """
     share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
     parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
@@ -114,9 +127,9 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
     def in_windows(score: Score) -> Fit:
         trials = score.trials[:1]
         if score.raw:
-            trials = tuple(
-                sorted(score.raw, key=lambda t: _plain_cost(base, score.effect, t, records))[: OPTIMISER.anew_starts]
-            )
+            added = [base.model.with_effect(score.effect.name, t) for t in score.raw]
+            least = np.argsort([_plain_cost(base, m, records) for m in added])
+            trials = tuple(score.raw[i] for i in least[: OPTIMISER.anew_starts])
         guesses = [first_guess(base.model.with_effect(score.effect.name, t), records) for t in trials]
         guesses = [g.with_values({"linear.tau_s": OPTIMISER.anew_lag_s}) for g in guesses]
         near = (fit(g, parts, windows=True, max_iterations=12, tolerance=1e-2) for g in guesses)

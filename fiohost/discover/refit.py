@@ -13,7 +13,7 @@ from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Null, draw_null
-from fiohost.discover.optimise import OPTIMISER, carried_on, cost_of, fits_anew, rough_fit, thorough_fit
+from fiohost.discover.optimise import OPTIMISER, begun, carried_on, cost_of, fits_anew, gone_on, thorough_fit
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.discover.workers import each
@@ -30,9 +30,8 @@ class Logs(Protocol):
     rng: np.random.Generator
     records: list[Record]
 
-    @property
-    def anew(self) -> bool:
-        """Whether candidates may begin from values of their own where none comes close."""
+    def anew(self, best: Fit) -> bool:
+        """Whether candidates may begin from values of their own where none comes close, not even the ``best``."""
 
     def screens(self, state: State) -> list[Screen]:
         """Around which fits the library is scored."""
@@ -78,16 +77,18 @@ class LogsBeside:
         # Beside noise all points of a curve take up a tenth of any slow torque.
         return [e for e in offered if self.logs.exact or not e.points], []
 
-    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
+    def refitted(
+        self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None
+    ) -> list[tuple[Effect, State]]:
         # The null asks for the directions of the first screen.
         self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
         s, floor = self.logs.settings, self.logs.floor_rms(self.state)
         jobs = self.worth()
         say(f"refitting {len({job.name for job in jobs})} of them")
-        rough = each(self.rough, jobs)
+        rough = self.rough(jobs, floor, rival)
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
             say("whole runs are far from the floor with every effect")
-            if not (anew and self.logs.anew):
+            if rival or not self.logs.anew(min(rough, key=lambda f: f.cost)):
                 return []
             say("beginning anew with each of them")
             first = self.screens[0]
@@ -101,7 +102,7 @@ class LogsBeside:
                 return []  # else it is most of what is missing
         best = self.carried(jobs, rough, floor)
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
-        if anew and not self.logs.exact and not any(self.leaves_noise(state, names) for state, names in states):
+        if not (rival or self.logs.exact) and not any(self.leaves_noise(state, names) for state, names in states):
             say("beside every effect more than noise is left: beginning anew with each of them")
             plain = self.screens[-1]
             others = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
@@ -170,12 +171,24 @@ class LogsBeside:
             jobs += [Job(x, screen.fit, screen.records) for x in worth]
         return jobs
 
-    def rough(self, job: Job) -> Fit:
-        """A rough fit without its arrays: of a long log, those of all candidates would fill the memory."""
-        found = rough_fit(job.base, job.score, job.records)
-        if self.logs.exact and moment_of(job.score.effect) is not None:
-            found = min(found, fit_event(job.base, job.score.effect, job.records), key=lambda f: f.cost)
-        return replace(found, residuals=(), jacobians=(), nuisances=())
+    def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> list[Fit]:
+        """Rough fits without their arrays: of a long log, those of all candidates would fill the memory. Beside one
+        that is at the floor, be it the ``rival``, others go on only where they may come near it.
+        """
+        s = self.logs.settings
+        ahead = each(lambda job: list(map(_bare, begun(job.base, job.score, job.records))), jobs)
+        best = min((*(f for fits in ahead for f in fits), *([rival.fit] if rival else [])), key=lambda f: f.cost)
+        at_floor = self.logs.exact and best.rms <= s.finished * floor
+        most = s.hopeless**2 * best.cost if at_floor else np.inf
+
+        def go_on(i: int) -> Fit:
+            job, near = jobs[i], [f for f in ahead[i] if f.cost <= most]
+            found = [gone_on(near, job.records) if near else ahead[i][0]]
+            if self.logs.exact and not at_floor and moment_of(job.score.effect) is not None:
+                found.append(fit_event(job.base, job.score.effect, job.records))
+            return _bare(min(found, key=lambda f: f.cost))
+
+        return each(go_on, range(len(jobs)))
 
     def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit]) -> list[list[int]]:
         """Which are carried to their minimum: of each name the best of each screen."""
@@ -206,6 +219,11 @@ class LogsBeside:
             screen = Screen(null.fit, null.records, first.span.lines_hz)
             scores = each(screen.score, [s.effect for s in self.ranked[0]])
         return draw_null(null.fit, null.records, screen, scores, self.logs.rng, self.logs.settings)
+
+
+def _bare(found: Fit) -> Fit:
+    """A fit without its arrays."""
+    return replace(found, residuals=(), jacobians=(), nuisances=())
 
 
 def ranked(screen: Screen, offered: Sequence[Effect], directions: bool) -> list[Score]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from fiohost.discover.metrics import quantise
 from fiohost.discover.settings import SETTINGS
-from fiohost.estimation.predict import Flat, free_output, read, turned_deg
+from fiohost.estimation.predict import Begun, Flat, free_output, read, turned_deg, windowed
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run_loaded, start_state
@@ -42,38 +43,64 @@ def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:
     return middle - room, middle + room
 
 
-def _shift(record: Record, residual: np.ndarray | None, rng: np.random.Generator) -> float:
-    """Where within its count the shaft stood, one draw; how well a fitted model knows it is drawn too."""
-    if residual is None:
-        return float(rng.uniform(-0.5, 0.5)) * record.quantum
-    low, high = within_count(record, residual)
-    least = record.quantum * float(np.exp(rng.uniform(*np.log(FLOOR.least_room_counts))))
-    return 0.5 * (low + high) + float(rng.uniform(-1.0, 1.0)) * max(0.5 * (high - low), least)
+class Replicas:
+    """Draws of what the sensor would have read of a record had a model been true, begun at a start.
 
-
-def replica(
-    record: Record, model: Model, start: Start, rng: np.random.Generator, residual: np.ndarray | None = None
-) -> np.ndarray:
-    """One draw (n) of what the sensor would have read had the model been true.
-
-    The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it.
+    The angle within its count is unknown, but for what the ``residual`` (n) of the model's free run says of it. What
+    all draws have in common is worked out once.
     """
-    noise, own = (record.disturbance.noise, record.disturbance.own) if record.disturbance else (None, None)
-    if noise and noise.runs.known:
-        model = varied(model, own.values if own else noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
-    shift = _shift(record, residual, rng) if record.kind == ANGLE else 0.0
-    begin = start._replace(angle=start.angle + shift)
-    if noise and noise.torque_pct.value > 0.0:
-        truth = disturbed_output(record, model, begin, noise, rng)
-    else:
-        truth = free_output(record, Flat.of(model), begin)
-    if noise and noise.sensor.value > 0.0:
-        truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
-    if record.kind == ANGLE:
-        return quantise(record, truth + 0.5 * record.quantum)
-    if record.kind == MEAN_SPEED:
-        truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
-    return quantise(record, truth)
+
+    def __init__(self, record: Record, model: Model, start: Start, residual: np.ndarray | None = None) -> None:
+        self.record, self.model, self.start = record, model, start
+        self.flat = Flat.of(model)
+        self._within = within_count(record, residual) if residual is not None and record.kind == ANGLE else None
+
+    @cached_property
+    def truth(self) -> np.ndarray:
+        """The output (n) of the model's free run from the start."""
+        return free_output(self.record, self.flat, self.start)
+
+    @cached_property
+    def _begun(self) -> Begun:
+        """Where windows of that output begin."""
+        return windowed(self.record, self.flat, self.start, self.truth)[1]
+
+    def draw(self, rng: np.random.Generator, day: Record | None = None) -> np.ndarray:
+        """One draw (n); of the record as another ``day`` gives it."""
+        record, model = day or self.record, self.model
+        noise, own = (record.disturbance.noise, record.disturbance.own) if record.disturbance else (None, None)
+        if noise and noise.runs.known:
+            model = varied(model, own.values if own else noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
+        shift = self._shift(rng) if record.kind == ANGLE else 0.0
+        begin = self.start._replace(angle=self.start.angle + shift)
+        if noise and noise.torque_pct.value > 0.0:
+            truth = disturbed_output(record, model, begin, noise, rng)
+        elif model is self.model and not (self.flat.bends and shift):
+            truth = self.truth + shift
+        else:
+            truth = free_output(record, Flat.of(model), begin)
+        if noise and noise.sensor.value > 0.0:
+            truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
+        if record.kind == ANGLE:
+            return quantise(record, truth + 0.5 * record.quantum)
+        if record.kind == MEAN_SPEED:
+            truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
+        return quantise(record, truth)
+
+    def left(self, rng: np.random.Generator, windows: bool, day: Record | None = None) -> np.ndarray:
+        """What the model leaves (n) of a draw as a fit weighs it, in whole or in one-second ``windows``."""
+        record, y = day or self.record, self.draw(rng, day)
+        if windows:
+            return windowed(record, self.flat, self.start, y, near=self._begun)[0]
+        return np.asarray(record.weights * (y - self.truth))
+
+    def _shift(self, rng: np.random.Generator) -> float:
+        """Where within its count the shaft stood, one draw; how well a fitted model knows it is drawn too."""
+        if self._within is None:
+            return float(rng.uniform(-0.5, 0.5)) * self.record.quantum
+        low, high = self._within
+        least = self.record.quantum * float(np.exp(rng.uniform(*np.log(FLOOR.least_room_counts))))
+        return 0.5 * (low + high) + float(rng.uniform(-1.0, 1.0)) * max(0.5 * (high - low), least)
 
 
 def another_day(

@@ -37,7 +37,8 @@ class Direction:
     ``share`` is the part of the residual's power along them, zero where physics forbids the sign; ``as_it_is`` what the
     trial removes of that power at the size that it has. Of an effect bound to
     the angle there is, for each of its sizes, a sine and a cosine for each zero of angle that the logs have: one size,
-    a phase each, so ``weights`` (sizes, zeros) are what belongs together.
+    a phase each, so ``weights`` (sizes, zeros) are what belongs together. ``own`` are the model's own parameters beside
+    the trial, as least squares have them.
     """
 
     trial: Trial
@@ -45,6 +46,7 @@ class Direction:
     share: float
     weights: np.ndarray = field(default_factory=lambda: np.ones((1, 1)))
     as_it_is: float = 0.0
+    own: Trial = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Score:
     """One effect against the residual: its directions, best first, and the trials from which to refit it.
 
     ``raw`` are the trials as the library gives them, the best first: a size that grows from nothing says little of an
-    effect whose other parameters shape it.
+    effect whose other parameters shape it. ``own`` are the model's own parameters beside each of ``trials``.
     """
 
     effect: Effect
@@ -60,6 +62,7 @@ class Score:
     trials: tuple[Trial, ...]
     directions: tuple[Direction, ...]
     raw: tuple[Trial, ...] = ()
+    own: tuple[Trial, ...] = ()
 
 
 def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None, span: Span) -> list[Effect]:
@@ -115,7 +118,10 @@ class Screen:
         self._nuisances = [np.linalg.qr(n)[0] if n.shape[1] else n for n in self.coarse(fit.nuisances)]
         jacobian = np.vstack(self.coarse(fit.jacobians)) if fit.names else np.empty((sum(self.lengths), 0))
         norms = np.linalg.norm(jacobian, axis=0)
-        self._own, _ = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
+        self._names = [n for n, there in zip(fit.names, norms > 0, strict=True) if there]
+        self._own, triangle = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])
+        # What the model's own parameters would have to take back of a change (m), by name.
+        self._take = np.linalg.pinv(triangle, rcond=1e-9) / norms[norms > 0][:, None]
         self.residual = self.clean([r for r in fit.residuals])
         self.power = float(self.residual @ self.residual)
         if lines_hz is None:
@@ -145,11 +151,24 @@ class Screen:
             found.append(values[: count * n].reshape(count, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
         return found
 
+    def _started(self, series: Sequence[np.ndarray]) -> np.ndarray:
+        """Series of all records as one (m), without what initial states can imitate."""
+        return np.concatenate([s - q @ (q.T @ s) for s, q in zip(self.coarse(series), self._nuisances, strict=True)])
+
     def clean(self, series: Sequence[np.ndarray]) -> np.ndarray:
         """Series of all records as one (m), without what initial states and the model's parameters can imitate."""
-        parts = [s - q @ (q.T @ s) for s, q in zip(self.coarse(series), self._nuisances, strict=True)]
-        flat = np.concatenate(parts)
+        flat = self._started(series)
         return np.asarray(flat - self._own @ (self._own.T @ flat))
+
+    def _beside(self, changes: Sequence[Sequence[np.ndarray]], factors: Sequence[float] | np.ndarray) -> Trial:
+        """The model's own parameters where changes (n each) that have grown by ``factors`` leave them."""
+        grown = [f * (self._own.T @ self._started(change)) for change, f in zip(changes, factors, strict=True)]
+        moved = self._take @ np.sum(grown, axis=0)
+        found: Trial = {}
+        for name, step in zip(self._names, moved, strict=True):
+            bounds, value = self.fit.model.parameter(name), self.fit.model.number(name)
+            found[name] = float(np.clip(value - step, bounds.lower, bounds.upper)) if np.isfinite(step) else value
+        return found
 
     def signature(self, effect: Effect, trial: Trial) -> np.ndarray:
         """What adding an effect at a trial size changes (n), cleaned; zero where nothing of its own is left."""
@@ -183,7 +202,8 @@ class Screen:
         share = along * along / self.power if along > 0.0 or not one_sided else 0.0
         as_it_is = (2.0 * along * size - size * size) / self.power
         unit = (signature / size)[:, None].astype(np.float32)
-        return Direction(_scaled(effect, trial, along / size), unit, share, as_it_is=as_it_is)
+        grown, factor = _scaled(effect, trial, along / size)
+        return Direction(grown, unit, share, as_it_is=as_it_is, own=self._beside([change], [factor]))
 
     def _swinging(self, effect: Effect, trial: Trial) -> Direction:
         """Every size of an effect by a sine and a cosine together: any phase, so any sign; bound to the angle, a phase
@@ -191,22 +211,23 @@ class Screen:
         """
         zeros = self._zeros if effect.angle_bound else [np.ones(len(self.records), dtype=bool)]
         sizes = {size: float(trial[size]) for size, _ in effect.couples}
-        columns = []
+        swings: list[list[np.ndarray]] = []
         for size, phase in effect.couples:
             alone = {**trial, **dict.fromkeys(sizes, 0.0), size: sizes[size]}
             changes = list(self._changes(effect, [{**alone, phase: degrees} for degrees in (0.0, 90.0)]))
-            columns += [
-                self._cleaned([c if there else 0.0 * c for c, there in zip(change, zero, strict=True)])
+            swings += [
+                [c if there else 0.0 * c for c, there in zip(change, zero, strict=True)]
                 for zero in zeros
                 for change in changes
             ]
-        both = np.column_stack(columns)
+        both = np.column_stack([self._cleaned(change) for change in swings])
         shape = (len(sizes), len(zeros))
         if self.power == 0.0 or np.any(np.linalg.norm(both, axis=0) == 0.0):
             return Direction(trial, np.zeros(both.shape, dtype=np.float32), 0.0, np.ones(shape))
         basis, triangle = np.linalg.qr(both)
         along = basis.T @ self.residual
-        pairs = np.linalg.lstsq(triangle, along, rcond=None)[0].reshape(*shape, 2)
+        factors = np.linalg.lstsq(triangle, along, rcond=None)[0]
+        pairs = factors.reshape(*shape, 2)
         weights = np.linalg.norm(triangle.reshape(len(triangle), *shape, 2), axis=(0, 3))
         weights /= np.linalg.norm(weights, axis=1, keepdims=True)
         grown = dict(trial)
@@ -216,21 +237,23 @@ class Screen:
             grown[size] = float(np.clip(factor * sizes[size], bounds.lower, bounds.upper))
             grown[phase] = float(np.degrees(np.arctan2(pairs[i, 0, 1], pairs[i, 0, 0])))
         share = float(powers(along[None, :], weights)[0]) / self.power
-        return Direction(grown, basis.astype(np.float32), share, weights)
+        return Direction(grown, basis.astype(np.float32), share, weights, own=self._beside(swings, factors))
 
     def _curved(self, effect: Effect, trial: Trial) -> Direction:
         """A curve of any shape: each of its points alone, and what the residual asks of all of them together."""
         alone = [{**trial, **{p: trial[p] if p == point else 0.0 for p in effect.points}} for point in effect.points]
-        signatures = np.column_stack([self._cleaned(change) for change in self._changes(effect, alone)])
+        changes = list(self._changes(effect, alone))
+        signatures = np.column_stack([self._cleaned(change) for change in changes])
         basis, triangle = np.linalg.qr(signatures)
         if self.power == 0.0 or np.any(np.abs(np.diag(triangle)) <= 1e-6 * np.abs(triangle).max()):
             return Direction(trial, np.zeros(signatures.shape, dtype=np.float32), 0.0)
         along = basis.T @ self.residual
-        grown = dict(trial)
-        for point, factor in zip(effect.points, np.linalg.solve(triangle, along), strict=True):
+        grown, factors = dict(trial), np.linalg.solve(triangle, along)
+        for point, factor in zip(effect.points, factors, strict=True):
             bounds = effect.parameter(point)
             grown[point] = float(np.clip(factor * float(trial[point]), bounds.lower, bounds.upper))
-        return Direction(grown, basis.astype(np.float32), float(along @ along) / self.power)
+        share, own = float(along @ along) / self.power, self._beside(changes, factors)
+        return Direction(grown, basis.astype(np.float32), share, own=own)
 
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
@@ -246,17 +269,18 @@ class Screen:
             found = [self._single(effect, t, c, one_sided) for t, c in zip(trials, changes, strict=True)]
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         grown = bool(effect.couples or effect.points)  # a trial as the library has it says nothing of their shape
-        starts: list[Trial] = []
+        starts: list[tuple[Trial, Trial]] = []
         # What swings often has other orders that do nearly as much: no gradient leads from one to the next.
         tied = sum(grown and d.share >= SCREEN.tied * found[order[0]].share for d in found)
         for i in varied(effect, trials, order)[: max(SCREEN.best_trials, tied)]:
-            starts.append(found[i].trial)
+            starts.append((found[i].trial, found[i].own))
             if not grown and found[i].trial != trials[i]:
-                starts.append(trials[i])
+                starts.append((trials[i], {}))
         share = found[order[0]].share if found else 0.0
         by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
         raw = () if grown else tuple(trials[i] for i in by_size)
-        return Score(effect, share, tuple(starts), tuple(found[i] for i in order), raw)
+        begun, own = zip(*starts, strict=True) if starts else ((), ())
+        return Score(effect, share, begun, tuple(found[i] for i in order), raw, own)
 
 
 def powers(along: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -276,12 +300,15 @@ def varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> lis
     return [*first, *(i for i in order if i not in first)]
 
 
-def _scaled(effect: Effect, trial: Trial, factor: float) -> Trial:
-    """A trial grown to the size that the residual asks for, within bounds; as it is where it has no single size."""
+def _scaled(effect: Effect, trial: Trial, factor: float) -> tuple[Trial, float]:
+    """A trial grown to the size that the residual asks for, within bounds, and by how much; as it is where it has no
+    single size.
+    """
     sized = [p for p in effect.parameters if p.neutral is not None and p.is_smooth]
     if len(sized) != 1 or not np.isfinite(factor):
-        return trial
+        return trial, 1.0
     parameter = sized[0]
     neutral = float(parameter.neutral or 0.0)
-    value = neutral + factor * (float(trial[parameter.name]) - neutral)
-    return {**trial, parameter.name: float(np.clip(value, parameter.lower, parameter.upper))}
+    size = float(trial[parameter.name]) - neutral
+    value = float(np.clip(neutral + factor * size, parameter.lower, parameter.upper))
+    return {**trial, parameter.name: value}, (value - neutral) / size if size else 1.0

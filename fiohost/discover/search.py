@@ -153,8 +153,7 @@ class Search(Generic[J]):
     def exchanged(self, best: Node, *, root: Node | None = None) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
         were missing. The last too, where other evidence chose it: alone it is asked for from the ``root``. Beside what
-        an exact fit does not follow nothing can be told by it, nor by windows what whole runs are to be asked. No other
-        one begins anew: it would have to do as well as one that is there.
+        an exact fit does not follow nothing can be told by it, nor by windows what whole runs are to be asked.
         """
         if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
@@ -167,7 +166,7 @@ class Search(Generic[J]):
             # What is fitted without a name that was mistaken keeps to where that had led.
             rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
             told = self.told
-            first = self.best_first([*self.expand(rest, anew=False), best])[0]
+            first = self.best_first([*self.expand(rest, rival=best), best])[0]
             self.told = told
             itself = first.added[-1].child.name == name and len(first.added) >= len(best.added)
             if first is not best and not itself and (self.explains(first) or not self.explains(best)):
@@ -199,9 +198,9 @@ class Search(Generic[J]):
         """Whether what a node leaves is noise."""
         return not node.lacks and self.evidence.white(node.state)
 
-    def expand(self, node: Node, *, anew: bool = True) -> Iterator[Node]:
+    def expand(self, node: Node, *, rival: Node | None = None) -> Iterator[Node]:
         """The nodes with one more effect that the data speak for, the best first; each is finished when asked for.
-        Candidates that come nowhere near may begin ``anew``.
+        Where there is a ``rival`` they have to do as well as it does.
         """
         beside = self.evidence.beside(node.state)
         offered, self.told = beside.offered(self.library)
@@ -210,7 +209,7 @@ class Search(Generic[J]):
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
         if not offered:
             return
-        found = beside.refitted(offered, self.say, anew=anew)
+        found = beside.refitted(offered, self.say, rival=rival.state if rival else None)
         self.told += beside.passed_over()
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
@@ -267,9 +266,11 @@ class Search(Generic[J]):
 
     def in_order(self, accepted: Sequence[Child]) -> list[Child]:
         """Candidates, the best first; those of an exact fit that are near it are carried to their minimum before."""
-        if self.evidence.exact and len(accepted) > 1:
-            least = min(c.state.fit.cost for c in accepted)
-            accepted = [self._polished(c) if c.state.fit.cost <= 1.1 * least else c for c in accepted]
+        if self.evidence.exact:
+            least = min((c.state.fit.cost for c in accepted), default=0.0)
+            near = [c for c in accepted if c.state.fit.cost <= 1.1 * least]
+            if len(near) > 1:  # the last digits decide between them
+                accepted = [self._polished(c) if c in near else c for c in accepted]
         return self.best_first(accepted)
 
     def _polished(self, child: Child) -> Child:

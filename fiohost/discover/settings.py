@@ -54,9 +54,8 @@ class LineSettings:
 class OptimiserSettings:
     """How a candidate is carried to its minimum."""
 
-    # Rough fits begin from so many more trials as the library has them, those of least error; of windows from so many
-    # in all.
-    raw_starts: int = 2
+    # Rough fits begin from so many trials, those of least error; in windows those of the highest score.
+    starts: int = 3
     window_starts: int = 3
     # Begun anew: from so many trials, on so much of all logs together and of each, with this lag.
     anew_starts: int = 2

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.movement import at_rest, coasting, movement, simulated_in_windows, standing
-from fiohost.discover.replica import another_day, replica
+from fiohost.discover.replica import Replicas, another_day
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.stage import Stage
 from fiohost.discover.workers import each
@@ -242,14 +242,14 @@ def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
     """Whether what a stage leaves in windows is as white as what its own bootstrap samples leave, at 1 %."""
     flat, edges = Flat.of(stage.fit.model), [r.windows for r in records]
     starts = [j.start for j in stage.judgements]
+    pairs = zip(records, stage.judgements, strict=True)
+    replicas = [Replicas(r, stage.fit.model, j.start, j.free_residual) for r, j in pairs]
     rngs = np.random.default_rng(WHITENING.seed).spawn(WHITENING.draws)
 
     def draw(rng: np.random.Generator) -> float:
-        errors = [
-            windowed(r, flat, j.start, replica(other, stage.fit.model, j.start, rng, j.free_residual))[0]
-            for r, other, j in zip(records, another_day(records, rng), stage.judgements, strict=True)
-        ]
-        return unevenness(errors, edges)
+        return unevenness(
+            [r.left(rng, True, day) for r, day in zip(replicas, another_day(records, rng), strict=True)], edges
+        )
 
     left = [windowed(r, flat, s)[0] for r, s in zip(records, starts, strict=True)]
     return is_white(unevenness(left, edges), each(draw, rngs))

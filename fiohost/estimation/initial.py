@@ -200,12 +200,12 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
             error = error - weights * float(error @ weights) / float(weights @ weights)
         return squared([error])
 
-    reach = WARMTH_NEAR
-    if near is None:
-        looks = np.linspace(0.0, 1.0, WARMTH_LOOKS)
-        by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
-        near = min((by_windows, *looks.tolist()), key=in_whole)
-        reach = WARMTH_NEAR if near == by_windows else float(looks[1])
+    if near is not None:
+        return _bottom(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0))
+    looks = np.linspace(0.0, 1.0, WARMTH_LOOKS)
+    by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+    near = min((by_windows, *looks.tolist()), key=in_whole)
+    reach = WARMTH_NEAR if near == by_windows else float(looks[1])
     return _least(in_whole, max(near - reach, 0.0), min(near + reach, 1.0), WARMTH_CLOSE)
 
 
@@ -213,12 +213,23 @@ def guessed_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> f
     """About how warm it was at the start, for a fit that goes on from there: the least of the parabola through the
     errors of cold, half warm and warm.
     """
-    cost = _in_windows(record, flat, start, y)
-    cold, half, warm = cost(0.0), cost(0.5), cost(1.0)
-    bend = cold - 2.0 * half + warm
+    return _parabola(_in_windows(record, flat, start, y), 0.0, 1.0)[0]
+
+
+def _parabola(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Where the parabola through a cost at two ends and their middle is least between them, and the least cost seen."""
+    at = (low, 0.5 * (low + high), high)
+    first, half, last = costs = [cost(w) for w in at]
+    bend = first - 2.0 * half + last
     if not bend > 0.0:
-        return 0.0 if cold <= warm else 1.0
-    return min(max(0.5 + 0.25 * (cold - warm) / bend, 0.0), 1.0)
+        return at[int(np.argmin(costs))], min(costs)
+    return min(max(at[1] + 0.25 * (high - low) * (first - last) / bend, low), high), min(costs)
+
+
+def _bottom(cost: Callable[[float], float], low: float, high: float) -> float:
+    """Where a cost that is smooth between two near ends is least; by looks along the line where it is not."""
+    found, seen = _parabola(cost, low, high)
+    return found if cost(found) <= seen else _least(cost, low, high, WARMTH_CLOSE)
 
 
 def _in_windows(record: Record, flat: Flat, start: Start, y: np.ndarray) -> Callable[[float], float]:

@@ -183,7 +183,9 @@ class TablesBeside:
                 able.append(item)
         return able, unable
 
-    def refitted(self, offered: Sequence[Effect], say: Progress, *, anew: bool = True) -> list[tuple[Effect, State]]:
+    def refitted(
+        self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None
+    ) -> list[tuple[Effect, State]]:
         say(f"refitting {len(offered)} of them")
         rows = self.readings.rows
         starts = each(lambda item: held(rows, self.base, item), offered)
@@ -197,7 +199,7 @@ class TablesBeside:
         carried = each(partial(to_the_end, rows), [found for _, found in kept])
         for (i, _), fitted in zip(kept, carried, strict=True):
             fits[i] = fitted
-        if anew and min(self._costs(fits)) > ENOUGH * rows.samples:
+        if not rival and min(self._costs(fits)) > ENOUGH * rows.samples:
             say("none comes to the floor: beginning anew with each of them")
             shown = [i for i, fitted in enumerate(fits) if fitted is not None]
             for i, fitted in zip(shown, each(lambda i: fit_anew(rows, self.base, offered[i]), shown), strict=True):
