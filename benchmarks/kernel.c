@@ -11,6 +11,7 @@
 #include <string.h>
 
 /* What is inlined and what is called is as in the kernel; left to itself gcc calls all, at twice the time. */
+#define ALIKE 1e-9
 #define INLINED static inline __attribute__((always_inline))
 #define APART static __attribute__((noinline))
 #define MOST_STEPS 400
@@ -227,7 +228,7 @@ static void advance(const Model *m, const Bodies *b, State *x, double duty, doub
         Motion begin = {0.0, x->omega, x->amps, b->kind == RIGID ? 0.0 : x->theta - x->load_theta,
                         r.joined ? x->omega : x->load_omega};
         Motion now = begin;
-        double h = substep > 0.0 && substep < left && n < MOST_STEPS - 1 ? substep : left;
+        double h = substep > 0.0 && n < MOST_STEPS - 1 ? left / fmax(ceil(left / substep - ALIKE), 1.0) : left;
         if (b->kind == PLAY && !r.joined && h > OPEN_GAP_S)
             h = OPEN_GAP_S;
         double direction = sign(x->omega), hold = 0.0, torque = 0.0;

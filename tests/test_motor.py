@@ -97,6 +97,17 @@ def test_substeps_are_fine_enough_for_a_load_that_follows_the_angle() -> None:
     assert np.max(np.abs(coarse - fine)) < 0.005
 
 
+def test_a_hold_is_stepped_in_equal_parts() -> None:
+    """Parts that differ ask for the flow of each anew, and the longest is less exact than it need be."""
+    values = {**LINEAR, "shaft_compliance.inertia_ratio": 0.3, "quadratic_drag.pct_at_1000_deg_s": 20.0}
+    model = Model(("shaft_compliance", "quadratic_drag"), values)
+    ex = held([60.0, -60.0], 0.5)
+    p, on = model.vector(), model.switches()
+    start = start_state(Start(0.0, 0.0), p, on)
+    for substep_s in (0.0026, 0.003, 0.0049):
+        np.testing.assert_array_equal(run(ex, p, on, substep_s, start), run(ex, p, on, 0.0025, start))
+
+
 def test_play_after_the_motor_leaves_a_flat_of_the_gap_at_each_reversal() -> None:
     model = Model(("backlash",), {**LINEAR, "backlash.gap_deg": 3.0, "backlash.load_inertia_ratio": 0.0})
     ex = held([40.0, -40.0], 1.0)

@@ -69,7 +69,7 @@ def test_rows_that_are_missing_are_no_effect(tmp_path: Path) -> None:
         keep = rng.random(len(log)) > 0.03
         cut.append(Log.from_columns({k: v[keep] for k, v in log.columns.items()}, log.metadata, log.path))
     told = to_json(run(cut))
-    assert (told["verdict"], told["steps"]) == ("no_missing_effect", [])
+    assert (told["verdict"], told["explained_to"], told["steps"]) == ("no_missing_effect", "sensor", [])
 
 
 def test_an_exact_bench_is_explained_to_the_sensor_and_its_residual_is_white(tmp_path: Path) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from bench_data import suite, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.movement import at_rest, movement, standing
@@ -192,3 +195,18 @@ def test_a_true_model_leaves_white_windows_where_a_torque_turns_or_holds_the_sha
     left = windowed(whitened, Flat.of(truth), start)[0]
     assert np.sqrt(np.mean(left**2)) == pytest.approx(0.95, abs=0.2)
     assert np.abs(left).max() < 5.5
+
+
+def test_where_the_sensor_s_counts_are_all_that_is_left_the_floor_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding is no noise: how white it looks hangs on a tenth of a count, which no whole run is asked for either."""
+    monkeypatch.setattr(Windows, "_looks_white", lambda self, state: False)
+    truth, rng = truth_model(), np.random.default_rng(3)
+    exact = suite(truth, 3)
+    shaky = [replace(r, y=r.y + r.quantum * np.round(2.0 * rng.standard_normal(len(r)))) for r in exact]
+    for records, counts in ((exact, True), (shaky, False)):
+        windows = Windows(records)
+        state = windows.settled(fit(truth, windows.records, windows=True))
+        assert state.noise is not None
+        assert state.noise.only_counts is counts
+        assert windows.stage(state).follows
+        assert windows.white(state) is counts

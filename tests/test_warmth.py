@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import QUANTUM_DEG, measure, truth_model
+from bench_data import QUANTUM_DEG, TICK_S, measure, truth_model
 
 from fiohost.discover.optimise import chosen_again
 from fiohost.estimation.fit import fit
+from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import Record, with_bench
+from fiohost.estimation.record import Record, make_record, with_bench
 from fiohost.motor.simulate import Start
 
 GAIN = "linear.gain_deg_s_per_pct"
@@ -44,6 +45,34 @@ def test_where_the_bench_s_time_begins_it_is_cold_so_that_gain_and_warming_can_b
     assert gain.value == pytest.approx(10.6, rel=0.005)
     assert found.starts[0].warmth == 0.0
     assert found.starts[1].warmth == pytest.approx(0.9, abs=0.05)
+
+
+def test_how_warm_a_run_with_missing_rows_began_is_seen_in_its_windows() -> None:
+    """No free run knows the commands that nobody logged: what it leaves behind them says nothing of warmth."""
+    (record,) = begun((0.4,))
+    pieces = [np.arange(0, 250), np.arange(550, 850), np.arange(1150, 1450), np.arange(1750, len(record))]
+    rows = np.concatenate(pieces)
+    cut = make_record(
+        record.name,
+        record.excitation.times_s[rows],
+        record.excitation.duties_pct[1:][rows],
+        record.y[rows],
+        quantum=QUANTUM_DEG,
+        sample_time_s=TICK_S,
+        command_delay_s=TICK_S,
+        at_rest=True,
+        segments=np.repeat(np.arange(4), [len(p) for p in pieces]),
+    )
+    assert cut.broken
+    assert initial_state(cut, Flat.of(WARMING)).warmth == pytest.approx(0.4, abs=0.05)
+
+
+def test_another_model_begins_as_warm_as_its_windows_say_however_far_that_is() -> None:
+    """A replica's model differs in how fast it warms: it may have begun much warmer than the fitted one."""
+    (record,) = begun((0.4,))
+    flat = Flat.of(WARMING)
+    near = initial_state(record, flat)._replace(warmth=0.15)
+    assert initial_state(record, flat, near=near).warmth == pytest.approx(0.4, abs=0.03)
 
 
 def test_a_warmth_that_windows_took_for_that_of_running_follows_time_in_whole_runs() -> None:

@@ -104,7 +104,8 @@ class Diagnosis:
         scatter = self.noise_decided and self.noise is not None and self.noise.runs.known
         if scatter or any(f.source == "repeats" for f in self.final.floors):
             return "repeatability"
-        return "noise" if self.noise_decided else "sensor"
+        counts = not self.noise_decided or self.noise is None or self.noise.only_counts
+        return "sensor" if counts else "noise"
 
     @property
     def explained_pct(self) -> float | None:

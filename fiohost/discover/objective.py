@@ -246,7 +246,9 @@ class Windows(Logs):
         if self.no_noise(state):
             return False
         if state not in self._white:
-            self._white[state] = self._looks_white(state)
+            # Counts are no noise: without any, what is at its floor is explained, here as in whole runs.
+            at_floor = state.noise is not None and state.noise.only_counts and self.stage(state).follows
+            self._white[state] = at_floor or self._looks_white(state)
         return self._white[state]
 
     def no_noise(self, state: State) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -80,16 +81,16 @@ def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = Fa
 
 
 def begun(base: Fit, score: Score, records: Sequence[Record]) -> list[Fit]:
-    """The base model with one effect added, one step from each of its best beginnings; the best of them, which are to
-    go on. Windows are nearly convex: there one is enough.
+    """The base model with one effect added, one step from each of its best beginnings, all of which are to go on: the
+    first step does not tell which of two resonances is right. Windows are nearly convex: there the best is enough.
     """
     fits = [again(base, m, records, 1, 1e-2) for m in _beginnings(base, score, records)]
-    return sorted(fits, key=lambda f: f.cost)[: 1 if base.windows else 2]
+    return sorted(fits, key=lambda f: f.cost)[: 1 if base.windows else None]
 
 
 def gone_on(ahead: Sequence[Fit], records: Sequence[Record]) -> Fit:
     """The best of fits that were begun, after a few more steps of each."""
-    return min((*ahead, *(again(f, f.model, records, 4, 1e-2) for f in ahead)), key=lambda f: f.cost)
+    return min((*ahead, *(_on(f, records, 4) for f in ahead)), key=lambda f: f.cost)
 
 
 def _beginnings(base: Fit, score: Score, records: Sequence[Record]) -> list[Model]:
@@ -132,16 +133,27 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
             trials = tuple(score.raw[i] for i in least[: OPTIMISER.anew_starts])
         guesses = [first_guess(base.model.with_effect(score.effect.name, t), records) for t in trials]
         guesses = [g.with_values({"linear.tau_s": OPTIMISER.anew_lag_s}) for g in guesses]
-        near = (fit(g, parts, windows=True, max_iterations=12, tolerance=1e-2) for g in guesses)
+        near = (fit(g, parts, windows=True, max_iterations=2, tolerance=1e-2) for g in guesses)
         return min(near, key=lambda f: f.cost)
 
     near = each(in_windows, scores)
-    best = sorted(range(len(near)), key=lambda i: near[i].cost)[:most]
+    best = list(range(len(near)))
+    # Successive halving (Karnin, Koren and Somekh 2013): those that leave most are not carried further.
+    for kept, steps in ((2 * most, 3), (most, 7)):
+        best = sorted(best, key=lambda i: near[i].cost)[:kept]
+        carried = each(partial(_on, records=parts, steps=steps), [near[i] for i in best])
+        for i, found in zip(best, carried, strict=True):
+            near[i] = found
 
     def on_all(i: int) -> Fit:
         return fit(near[i].model, records, windows=base.windows, max_iterations=8, tolerance=1e-3)
 
     return list(zip(best, each(on_all, best), strict=True))
+
+
+def _on(found: Fit, records: Sequence[Record], steps: int) -> Fit:
+    """A fit after a few more steps."""
+    return again(found, found.model, records, steps, 1e-2)
 
 
 def carried_on(rough: Fit, records: Sequence[Record]) -> Fit:

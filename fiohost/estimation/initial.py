@@ -25,6 +25,8 @@ LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
 WITHIN_COUNTS = 1.5
 # Warmth is looked for at so many levels, then as near by windows and as close by whole runs as this.
 WARMTH_LOOKS, WARMTH_NEAR, WARMTH_CLOSE = 9, 0.02, 1e-4
+# By so much further where what is least lies at an end.
+WARMTH_FURTHER = 4.0
 # Every so many windows are enough to come near.
 WARMTH_EVERY = 3
 # A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
@@ -191,7 +193,8 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
     """How warm winding or bearings were at the start, 0 to 1, from the whole run: the first second cannot show it.
 
     Windows come ``near`` where nothing else does, the whole run where a few of its windows show little; then the whole
-    run, which is sharper and, where the shaft sticks, rugged.
+    run, which is sharper and, where the shaft sticks, rugged. What a whole run leaves behind a gap in its commands, or
+    under a random torque, says nothing of warmth: there all windows do.
     """
 
     def in_whole(warmth: float) -> float:
@@ -200,10 +203,14 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
             error = error - weights * float(error @ weights) / float(weights @ weights)
         return squared([error])
 
+    windows_alone = record.broken or record.disturbance is not None
+    sharp = _in_windows(record, flat, start, y, 1) if windows_alone else in_whole
     if near is not None:
-        return _bottom(in_whole, max(near - WARMTH_NEAR, 0.0), min(near + WARMTH_NEAR, 1.0))
+        return _around(sharp, near)
     looks = np.linspace(0.0, 1.0, WARMTH_LOOKS)
     by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+    if windows_alone:
+        return _around(sharp, by_windows)
     near = min((by_windows, *looks.tolist()), key=in_whole)
     reach = WARMTH_NEAR if near == by_windows else float(looks[1])
     return _least(in_whole, max(near - reach, 0.0), min(near + reach, 1.0), WARMTH_CLOSE)
@@ -226,15 +233,28 @@ def _parabola(cost: Callable[[float], float], low: float, high: float) -> tuple[
     return min(max(at[1] + 0.25 * (high - low) * (first - last) / bend, low), high), min(costs)
 
 
+def _around(cost: Callable[[float], float], near: float) -> float:
+    """Where a cost by warmth is least around a level; ever further from it while it is least at an end."""
+    reach = WARMTH_NEAR
+    while True:
+        low, high = max(near - reach, 0.0), min(near + reach, 1.0)
+        found = _bottom(cost, low, high)
+        if low < found < high or found in (0.0, 1.0):
+            return found
+        reach *= WARMTH_FURTHER
+
+
 def _bottom(cost: Callable[[float], float], low: float, high: float) -> float:
     """Where a cost that is smooth between two near ends is least; by looks along the line where it is not."""
     found, seen = _parabola(cost, low, high)
     return found if cost(found) <= seen else _least(cost, low, high, WARMTH_CLOSE)
 
 
-def _in_windows(record: Record, flat: Flat, start: Start, y: np.ndarray) -> Callable[[float], float]:
-    """Squared error of one-second windows of output ``y`` (n) by warmth."""
-    record = replace(record, every=max(record.every, min(WARMTH_EVERY, len(record.windows) - 1)))
+def _in_windows(
+    record: Record, flat: Flat, start: Start, y: np.ndarray, every: int = WARMTH_EVERY
+) -> Callable[[float], float]:
+    """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth."""
+    record = replace(record, every=max(record.every, min(every, len(record.windows) - 1)))
 
     def cost(warmth: float) -> float:
         return squared([errors(record, flat, start._replace(warmth=warmth), True, y)])

@@ -174,7 +174,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
         _move(state, base, shift, omega, p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
         window_output(times, states, a, n, kind, seen, p, on, y, y0)
-        if kind == ANGLE:
+        if kind == ANGLE and not (known and bends):  # what is known of both takes their step at once
             for i in range(n):
                 shift += sure[a + i] * (y[a + i] - y0[i]) / total
             if bends:

@@ -8,7 +8,7 @@ whether the current lags. A step ends where a margin that is positive within the
 
 from __future__ import annotations
 
-from math import inf, isnan
+from math import ceil, inf, isnan
 
 from fiohost.motor.compiled import inlined, sign
 from fiohost.motor.electrics import loses, simple_winding, winding
@@ -75,7 +75,9 @@ def advance(at, x, duty, mode, time, span, substep, kind, lag, lost, has, more, 
         joined = kind == RIGID or (kind == PLAY and contact != 0.0)
         sprung = kind == SPRING and (half_gap == 0.0 or contact != 0.0)
         amps, load_omega, load_at, twist = flowing, omega, theta, 0.0
-        dt = min(left, substep) if substep > 0.0 and k < MOST_STEPS - 1 else left
+        dt = left
+        if substep > 0.0 and k < MOST_STEPS - 1:
+            dt = left / max(ceil(left / substep - ALIKE), 1)  # equal parts: what was computed for one serves all
         if kind != RIGID:
             load_at = load_theta
             twist = theta - load_at

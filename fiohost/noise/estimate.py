@@ -60,6 +60,11 @@ class Noise:
         """Whether there is a torque at all, within what the data can tell."""
         return self.torque_pct.low > 0.0
 
+    @property
+    def only_counts(self) -> bool:
+        """Whether the sensor's counts may be all there is, within what the data can tell."""
+        return not (self.torque_known or self.sensor.low > 0.0 or self.runs.known)
+
 
 # Directions in which a torque moves the output by less than this share of its largest variance do not count.
 LEAST_DIRECTION = 1e-9
