@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiohost.discover.null import levels_of
+from fiohost.discover.null import BoundedDirections, levels_of
 from fiohost.discover.settings import SETTINGS
 
 # Sizes, phases of ten runs at three orders, and whatever lies between.
@@ -36,3 +36,16 @@ def test_what_leaves_no_trace_has_no_level_of_its_own() -> None:
     gains[:, 5] = 0.0
     assert levels_of(gains, SETTINGS)[5] == 0.0
     assert (levels_of(gains, SETTINGS)[:5] > 0.0).all()
+
+
+def test_one_window_in_which_a_shaft_stuck_does_not_say_what_all_reach() -> None:
+    rng = np.random.default_rng(4)
+    edges, rows = np.arange(0, 1500, 50), 1500
+    basis = np.linalg.qr(rng.standard_normal((rows, 3)))[0].astype(np.float32)
+    bounded = BoundedDirections(basis, edges, 1.0)
+    white = rng.standard_normal(rows).astype(np.float32)
+    np.testing.assert_allclose(bounded.along(white), white @ basis, atol=0.25)  # hardly any window is beyond its bound
+    stuck = white.copy()
+    stuck[500:550] += 40.0 * basis[500:550, 0] / np.linalg.norm(basis[500:550, 0])
+    assert (stuck - white) @ basis[:, 0] > 5.0
+    assert abs(bounded.along(stuck)[0] - bounded.along(white)[0]) < 1.2

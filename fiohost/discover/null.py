@@ -18,6 +18,7 @@ from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
+from fiohost.noise.settings import SETTINGS as NOISE
 from fiohost.noise.whiten import unevenness
 
 
@@ -34,6 +35,23 @@ class Null:
     def of(self, name: str) -> float:
         """The level of an effect; that of the whole library where it leaves no trace in a screen."""
         return self.levels.get(name, self.level)
+
+
+class BoundedDirections:
+    """Projections on directions (n, k) to which no window, of those that begin at ``edges`` (m), adds more than some
+    standard deviations of white noise: one in which the shaft stuck, and the model's did not, says nothing of what all
+    others reach (bounded influence, Hampel 1974). ``block`` samples are one of the n.
+    """
+
+    def __init__(self, basis: np.ndarray, edges: np.ndarray, block: float) -> None:
+        self.basis, self.edges = basis, edges
+        lengths = np.sqrt(np.add.reduceat(basis**2, edges, axis=0))
+        self.most = (NOISE.most_of_a_window / np.sqrt(block) * lengths).astype(np.float32)
+
+    def along(self, series: np.ndarray) -> np.ndarray:
+        """The projections (k) of a series (n)."""
+        parts = np.add.reduceat(self.basis * series[:, None], self.edges, axis=0)
+        return np.asarray(np.clip(parts, -self.most, self.most).sum(axis=0))
 
 
 def draw_null(
@@ -53,13 +71,15 @@ def draw_null(
     edges, replicas = [r.windows for r in records], replicas_of(fitted, records, anywhere=True)
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
+    bounded = BoundedDirections(basis, screen.window_edges(), block) if fitted.windows else None
 
     def draw(rng: np.random.Generator) -> tuple[np.ndarray, float]:
         # What is gained is weighed by the noise that is found: it grows with that, whatever it is. How runs scatter few
         # of them say, and what they have in common is held against it.
         asked = bool(scores)
         errors = replica_errors(fitted, replicas, rng, open_noise=not asked, open_runs=asked)
-        along = screen.clean(errors).astype(np.float32) @ basis
+        cleaned = screen.clean(errors).astype(np.float32)
+        along = bounded.along(cleaned) if bounded else cleaned @ basis
         parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
         found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
         own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])

@@ -151,6 +151,15 @@ class Screen:
             found.append(values[: count * n].reshape(count, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
         return found
 
+    def window_edges(self) -> np.ndarray:
+        """Where (m) in the series of all records as one the windows begin."""
+        firsts, at = [], 0
+        for record, n, length in zip(self.records, self._blocks, self.lengths, strict=True):
+            begins = np.unique(record.windows[:-1] // n)
+            firsts.append(at + begins[begins < length])
+            at += length
+        return np.concatenate(firsts)
+
     def _started(self, series: Sequence[np.ndarray]) -> np.ndarray:
         """Series of all records as one (m), without what initial states can imitate."""
         return np.concatenate([s - q @ (q.T @ s) for s, q in zip(self.coarse(series), self._nuisances, strict=True)])

@@ -55,7 +55,7 @@ class NoiseSettings:
     most_at_start_pct: float = 1.0
     # Lags of the whiteness test: a tenth of a window at 200 Hz.
     lags: int = 20
-    # A window's autocorrelation counts for so many standard deviations at most.
+    # A window's autocorrelation, and what it adds to chance's gain, count for so many standard deviations at most.
     most_of_a_window: float = 3.0
     # One-sided 1 % point of the normal distribution.
     white_sigmas: float = 2.326
