@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from short_runs import logs_of, plant_file, random_steps
 
+from fiohost.cli.main import cli
 from fiohost.control.design import design
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.result import to_json
@@ -97,6 +100,27 @@ def test_commands_held_longer_and_an_open_bridge_are_beyond_too() -> None:
     parts = seen.beyond(replace(seen, hold_s=5.02, coasted=True))
     assert parts == ["a command held 5.02 s, longest seen 1.6 s", "an open bridge, never seen"]
     assert seen.beyond(replace(seen, duty_pct=(-10.5, 10.5), hold_s=1.7)) == []
+
+
+def test_a_log_beyond_what_a_model_was_fitted_to_is_refused_where_that_is_asked_for(tmp_path: Path) -> None:
+    runner, out, found = CliRunner(), tmp_path / "simulated.csv", tmp_path / "found.toml"
+    (log,) = logs_of(f"sim:{plant_file(tmp_path)}", tmp_path, [random_steps(4.0)])
+    args = ["simulate", str(log.path), "--model", str(found), "-o", str(out)]
+    replace(DECLARED, seen=Seen((-9.0, 9.0), (-60.0, 60.0), 5.0, True)).write(found)
+    refused = runner.invoke(cli, [*args, "--within"])
+    assert refused.exit_code == 1
+    assert "goes beyond what the model was fitted to: duty" in refused.output
+    assert not out.exists()
+    noted = runner.invoke(cli, args)
+    assert noted.exit_code == 0
+    assert "the model extrapolates" in noted.output
+    out.unlink()
+    found.unlink()
+    DECLARED.write(found)
+    assert "does not say what it was fitted to" in runner.invoke(cli, [*args, "--within"]).output
+    found.unlink()
+    replace(DECLARED, seen=Seen((-100.0, 100.0), (-1500.0, 1500.0), 5.0, True)).write(found)
+    assert runner.invoke(cli, [*args, "--within"]).exit_code == 0
 
 
 def test_a_design_that_asks_for_more_duty_than_was_seen_says_so() -> None:

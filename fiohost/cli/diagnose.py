@@ -11,7 +11,7 @@ import click
 from fiohost.cli.options import PATH, expanded, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
-from fiohost.errors import ConfigError
+from fiohost.errors import ConfigError, ModelError
 from fiohost.files import claim, report_folder
 
 if TYPE_CHECKING:
@@ -228,23 +228,33 @@ def _diagnose_readings(
 )
 @click.option("-o", "--output", required=True, type=PATH, metavar="OUT.csv", help="Table to write.")
 @click.option("--map", "table_map", metavar="MAP", help="LOG is a foreign table; MAP says how to read it.")
+@click.option("--within", is_flag=True, help="Refuse a log that goes beyond what the model was fitted to.")
 @json_option
-def simulate(log: Path, model: str, output: Path, table_map: str | None, json_to: str | None) -> None:
+def simulate(log: Path, model: str, output: Path, table_map: str | None, within: bool, json_to: str | None) -> None:
     """Free run of a saved model on a log's commands, so that anyone can check the figures.
 
+    A model file says what duties, speeds and holds it was fitted to. A log that goes beyond them is simulated with a
+    note; with --within it is refused.
+
     \b
-    Example:
+    Examples:
       fiohost simulate run3.csv --model found.toml -o simulated.csv
+      fiohost simulate run4.csv --model found.toml -o simulated.csv --within
     """
     from fiohost.circle.evidence import read_logs
     from fiohost.circle.replay import replay, write_replay
     from fiohost.motor.model import Model
+    from fiohost.report.words import listed
 
     say = output_for(json_to)
     claim(output)
     chosen = Model.parse(model)
     (source,) = read_logs([log], table_map)
     found = replay(source, chosen)
+    if within and chosen.seen is None:
+        raise ModelError(f"{model} does not say what it was fitted to, so nothing is known to be within it")
+    if within and found.beyond:
+        raise ModelError(f"{log} goes beyond what the model was fitted to: {listed(found.beyond)}")
     write_replay(output, found, source, model)
     errors = found.errors
     say(

@@ -72,7 +72,8 @@ def curves_sentence(diagnosis: Mapping[str, Any]) -> str:
 def extrapolation_sentences(diagnosis: Mapping[str, Any]) -> list[str]:
     """Of every held-out log that goes beyond what the training logs did, where."""
     return [
-        f"{one['log']} goes beyond the training logs: {listed(one['beyond'])}; there the model extrapolates."
+        f"{one['log']} goes beyond the training logs: {listed(one['beyond'])}; there the model extrapolates and "
+        "answers for nothing."
         for one in diagnosis.get("extrapolates") or []
     ]
 
