@@ -183,7 +183,7 @@ def two_bodies(  # type: ignore[no-untyped-def]
         or m[dt_at + 1] != kind + 1.0
         or m[dt_at + 2] != own
         or m[dt_at + 3] != lag
-        or m[dt_at + 4] != ohms
+        or (lagged and m[dt_at + 4] != ohms)
     ):
         m[dt_at], m[dt_at + 1], m[dt_at + 2], m[dt_at + 3], m[dt_at + 4] = dt, kind + 1.0, own, lag, ohms
         a, rate = MATRIX, sqrt(stiff / own + stiff / other)  # the twist by its own frequency: as large as a speed
