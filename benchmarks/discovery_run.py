@@ -112,10 +112,10 @@ def clarity(logs: list[Any]) -> float:
     """How many times its floor the declared model's window error is, in the worst log."""
     import numpy as np
 
-    from fiohost.discover.floor import replica_floor
-    from fiohost.discover.metrics import judge
     from fiohost.estimation.fit import fit_from_scratch
     from fiohost.estimation.record import record_from_log
+    from fiohost.judging.floor import replica_floor
+    from fiohost.judging.metrics import judge
     from fiohost.motor.model import Model
 
     rng = np.random.default_rng(0)
@@ -139,8 +139,8 @@ def wanted(kind: str, size: float) -> bool:
 def run_task(task: Task) -> Row:
     """Draw until the size is that of the task, then diagnose. A row with ``drawn`` false where no draw was."""
     from fiohost.circle.evidence import diagnose
-    from fiohost.discover.metrics import pool
     from fiohost.estimation.intervals import estimates
+    from fiohost.judging.metrics import pool
     from fiohost.motor.effect import effects
 
     for attempt in range(SHORT_TRIES if task.short else TRIES):

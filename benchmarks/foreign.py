@@ -59,7 +59,7 @@ def logs(kind: str, seed: int, folder: Path) -> tuple[dict[str, Any], list[Path]
 
 def run(task: tuple[str, int]) -> Row:
     from fiohost.circle.evidence import diagnose
-    from fiohost.discover.metrics import pool
+    from fiohost.judging.metrics import pool
 
     kind, seed = task
     with tempfile.TemporaryDirectory() as folder:

@@ -18,10 +18,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from fiohost.circle.evidence import diagnose, read_logs
 from fiohost.discover.diagnose import Diagnosis
-from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.judging.metrics import judge
 from fiohost.motor.model import Model
 from fiohost.report import words
 from fiohost.report.diagnosis import series_of

@@ -15,11 +15,11 @@ from measured_page import begun, common, halves, save, table, with_interval
 
 from fiohost.circle.evidence import diagnose, read_logs
 from fiohost.discover.diagnose import Diagnosis
-from fiohost.discover.metrics import Errors, judge
 from fiohost.discover.result import to_json
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.judging.metrics import Errors, judge
 from fiohost.motor.model import Model
 from fiohost.report.diagnosis import series_of
 from fiohost.report.plots import plot_curve, plot_residual_bars, plot_series

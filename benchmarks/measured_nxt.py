@@ -15,16 +15,16 @@ from measured_page import begun, common, pair, save, table
 
 from fiohost.circle.evidence import diagnose
 from fiohost.discover.diagnose import Diagnosis
-from fiohost.discover.metrics import Judgement, judge
 from fiohost.discover.result import to_json
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import Record, make_record
+from fiohost.judging.metrics import Judgement, judge
 from fiohost.motor.model import Model
 from fiohost.report import words
 from fiohost.report.diagnosis import series_of
 from fiohost.report.plots import plot_curve, plot_residual_bars, plot_series
 from fiohost.report.series import CurvePlot
+from fiohost.workers import each
 
 MAP = "nxt_open_loop"
 FIT = range(10, 101, 10)

@@ -41,8 +41,8 @@ def run_world(task: WorldTask) -> Row:
     where no draw was.
     """
     from fiohost.circle.evidence import diagnose
-    from fiohost.discover.metrics import pool
     from fiohost.discover.result import to_json
+    from fiohost.judging.metrics import pool
 
     world, exact = BY_NAME[task.world], BY_NAME["exact"]
     head = {"key": task.key, "world": task.world, "kind": task.kind, "truth": list(task.names)}

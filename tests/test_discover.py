@@ -10,13 +10,13 @@ from bench_data import QUANTUM_DEG, TRUTH, measure, multisine, steps, suite, tru
 
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.folds import folds, slices
-from fiohost.discover.metrics import judge
-from fiohost.discover.missing_torque import missing_torque
 from fiohost.discover.result import to_json
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import make_record
 from fiohost.estimation.repeats import repeats
+from fiohost.judging.metrics import judge
+from fiohost.judging.missing_torque import missing_torque
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run

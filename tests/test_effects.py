@@ -18,12 +18,12 @@ from fiohost.bench.log import Log
 from fiohost.circle import detection
 from fiohost.circle.plan import SUITE, suite
 from fiohost.cli.main import cli
-from fiohost.discover.metrics import judge
 from fiohost.discover.objective import WholeRuns
-from fiohost.discover.stage import Stage
 from fiohost.errors import FiohostError
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.judging.metrics import judge
+from fiohost.judging.stage import Stage
 from fiohost.motor.effect import Value, effect, effects
 from fiohost.motor.model import Model
 from fiohost.settings import find_config

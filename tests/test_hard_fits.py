@@ -16,7 +16,6 @@ from fiohost.discover import objective
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
-from fiohost.discover.metrics import judge
 from fiohost.discover.moments import fit_event
 from fiohost.discover.optimise import begun as begun_fits
 from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
@@ -28,6 +27,7 @@ from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record, record_from_log, with_bench
+from fiohost.judging.metrics import judge
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from bench_data import TICK_S, measure, multisine, steps, suite, truth_model
 
-from fiohost.discover.metrics import judge
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output, free_states, window_residuals
 from fiohost.estimation.record import MEAN_SPEED, SPEED, cut_windows, make_record
+from fiohost.judging.metrics import judge
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 

@@ -14,9 +14,9 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.replay import replay
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
-from fiohost.discover.units import in_metres
 from fiohost.errors import ModelError
 from fiohost.estimation.record import record_from_log
+from fiohost.judging.units import in_metres
 from fiohost.motor.model import Model
 
 QUANTUM_M = 0.5e-3

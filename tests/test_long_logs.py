@@ -14,11 +14,11 @@ from bench_data import measure, steps, truth_model
 from fiohost.bench import rows as rows_module
 from fiohost.bench.log import Log
 from fiohost.bench.unwrap import ambiguous_steps
-from fiohost.discover.floor import replica_floor
-from fiohost.discover.metrics import judge
 from fiohost.discover.objective import Windows
 from fiohost.discover.refit import Job, ranked
 from fiohost.errors import LogError
+from fiohost.judging.floor import replica_floor
+from fiohost.judging.metrics import judge
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 

@@ -15,8 +15,8 @@ from fiohost.circle.evidence import diagnose
 from fiohost.discover.degenerate import believed, degenerate
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
-from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found, Step
+from fiohost.judging.stage import Stage
 from fiohost.noise.estimate import NONE
 from fiohost.report.words import verdict_sentence
 

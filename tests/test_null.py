@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiohost.discover.null import BoundedDirections, levels_of
+from fiohost.discover.null import BoundedDirections
 from fiohost.discover.settings import SETTINGS
+from fiohost.judging.levels import levels_of
 
 # Sizes, phases of ten runs at three orders, and whatever lies between.
+SIGMAS = SETTINGS.gumbel_sigmas
 FREEDOMS = np.array([1] * 12 + [2] * 8 + [4] * 6 + [10, 33, 60])
 
 
@@ -17,7 +19,7 @@ def gained(rng: np.random.Generator, draws: int) -> np.ndarray:
 
 
 def test_a_size_is_not_asked_for_what_sixty_phases_gain() -> None:
-    levels = levels_of(gained(np.random.default_rng(1), SETTINGS.draws), SETTINGS)
+    levels = levels_of(gained(np.random.default_rng(1), SETTINGS.draws), SIGMAS)
     assert 9.0 < np.median(levels[FREEDOMS == 1]) < 22.0
     assert levels[FREEDOMS == 60].item() > 80.0
 
@@ -26,7 +28,7 @@ def test_one_of_a_hundred_draws_passes_the_levels_of_the_whole_library() -> None
     rng = np.random.default_rng(2)
     shares = []
     for _ in range(40):
-        levels = levels_of(gained(rng, SETTINGS.draws), SETTINGS)
+        levels = levels_of(gained(rng, SETTINGS.draws), SIGMAS)
         shares.append(np.mean((gained(rng, 500) > levels).any(axis=1)))
     assert 0.002 < np.mean(shares) < 0.05
 
@@ -34,8 +36,8 @@ def test_one_of_a_hundred_draws_passes_the_levels_of_the_whole_library() -> None
 def test_what_leaves_no_trace_has_no_level_of_its_own() -> None:
     gains = gained(np.random.default_rng(3), SETTINGS.draws)
     gains[:, 5] = 0.0
-    assert levels_of(gains, SETTINGS)[5] == 0.0
-    assert (levels_of(gains, SETTINGS)[:5] > 0.0).all()
+    assert levels_of(gains, SIGMAS)[5] == 0.0
+    assert (levels_of(gains, SIGMAS)[:5] > 0.0).all()
 
 
 def test_one_window_in_which_a_shaft_stuck_does_not_say_what_all_reach() -> None:

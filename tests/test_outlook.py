@@ -29,13 +29,13 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.menu import MENU, menu, offer
 from fiohost.cli.main import cli
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.metrics import judge
 from fiohost.discover.result import to_json
-from fiohost.discover.stage import judged
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.judging.metrics import judge
+from fiohost.judging.stage import judged
 from fiohost.motor.model import Model
 from fiohost.report.circle import follow_up_sentence
 from fiohost.report.page import render

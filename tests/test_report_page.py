@@ -15,8 +15,8 @@ from desktop import Chromium, needed, until
 from report_case import curve, diagnosis, error, parameter, series
 
 from fiohost.bench.log import Log
-from fiohost.discover.metrics import judge
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.judging.metrics import judge
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, free_run

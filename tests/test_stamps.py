@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fiohost.bench.log import Log
-from fiohost.discover.metrics import judge
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import cut_windows, record_from_log
 from fiohost.estimation.stamps import doubtful_modes, known_segments, missing_ticks, true_times
+from fiohost.judging.metrics import judge
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, free_run
 

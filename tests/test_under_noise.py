@@ -11,7 +11,6 @@ from bench_data import suite, truth_model
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.movement import at_rest, movement, standing
 from fiohost.discover.objective import Windows
-from fiohost.discover.replica import disturbed_output
 from fiohost.discover.result import to_json
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.whitened import with_noise
@@ -19,6 +18,7 @@ from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record, make_record
+from fiohost.judging.replica import disturbed_output
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE = ROOT / "docs" / "reference" / "numbers.md"
 SOURCES = (
     "fiohost/discover/settings.py",
+    "fiohost/judging/settings.py",
     "fiohost/discover/degenerate.py",
     "fiohost/discover/own_start.py",
     "fiohost/noise/settings.py",
@@ -36,7 +37,7 @@ def rows(node: ast.ClassDef, lines: list[str]) -> list[tuple[str, str, str]]:
             said.insert(0, lines[above].strip().lstrip("# "))
             above -= 1
         value = " ".join(ast.unparse(field.value).split())
-        if not value.endswith("Settings()"):
+        if not ast.unparse(field.annotation).endswith("Settings"):
             found.append((field.target.id, value, " ".join(said) or ("as above" if found else "")))
     return found
 

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from fiohost.advice.windowed import Windowed
-from fiohost.discover.metrics import Judgement, pool
-from fiohost.discover.missing_torque import bench_angle
-from fiohost.discover.stage import Stage
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.metrics import Judgement, pool
+from fiohost.judging.missing_torque import bench_angle
+from fiohost.judging.stage import Stage
 from fiohost.motor.model import Model
 
 BINS = 16

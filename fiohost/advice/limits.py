@@ -14,16 +14,16 @@ import numpy as np
 
 from fiohost.advice.limit import Limit
 from fiohost.advice.windowed import Windowed
-from fiohost.discover.metrics import Judgement
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.discover.settings import SETTINGS as SEARCH
-from fiohost.discover.stage import Stage
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.metrics import Judgement
+from fiohost.judging.stage import Stage
 from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
+from fiohost.workers import each
 
 NOT_A_STEP = 1e12
 PHASES_DEG = (0.0, 60.0, 120.0)

@@ -16,17 +16,17 @@ import numpy as np
 from fiohost.checks.excitation import lacks
 from fiohost.checks.exercised import Exercised
 from fiohost.discover.folds import folds
-from fiohost.discover.metrics import judge, pool
 from fiohost.discover.settings import SETTINGS as SEARCH
-from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import ANGLE, Record, make_record
+from fiohost.judging.metrics import judge, pool
+from fiohost.judging.stage import Stage
 from fiohost.motor.effect import Value, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.workers import each
 
 # Differences over the floor: below the first an experiment does not separate; beyond the second more is not better.
 SEPARATES, DECISIVE = 1.5, 10.0

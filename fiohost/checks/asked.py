@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.discover.metrics import quantise
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, free_states, read, window_residuals
 from fiohost.estimation.record import SHORTEST, Record, cut_windows
+from fiohost.judging.metrics import quantise
 from fiohost.motor.model import Model
 
 PIECE_S, PIECES = 4.0, 10

@@ -24,12 +24,12 @@ from fiohost.checks.asked import (
     shifted,
 )
 from fiohost.checks.said import Said
-from fiohost.discover.workers import each
 from fiohost.errors import FiohostError
 from fiohost.estimation.fit import Fit, best_of, first_guess
 from fiohost.estimation.record import ANGLE, BRAKE, Record
 from fiohost.motor.model import Model
 from fiohost.motor.state import STANDBY
+from fiohost.workers import each
 
 OFFSETS = (-2, -1, 0, 1, 2)
 LAGS_S = (0.03, 0.1, 0.4)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from fiohost.discover.floor import Floor, floors
-from fiohost.discover.metrics import Judgement, judge
-from fiohost.discover.stage import Stage
 from fiohost.estimation.record import Record
+from fiohost.judging.floor import Floor, floors
+from fiohost.judging.metrics import Judgement, judge
+from fiohost.judging.stage import Stage
 
 DRAWS = 2000
 

@@ -11,10 +11,10 @@ from threadpoolctl import threadpool_limits
 from fiohost.advice.limit import Limit, Measured
 from fiohost.advice.limits import detection_limits
 from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
-from fiohost.discover.metrics import pool
 from fiohost.discover.objective import WholeRuns
 from fiohost.errors import DataError
 from fiohost.estimation.record import pwm_of, record_from_log, with_bench
+from fiohost.judging.metrics import pool
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 

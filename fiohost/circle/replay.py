@@ -10,11 +10,11 @@ import numpy as np
 
 from fiohost import __version__
 from fiohost.bench.log import Log
-from fiohost.discover.metrics import Errors, judge
-from fiohost.discover.units import LOG_UNIT, STARTS, metres
 from fiohost.estimation.record import record_from_log, speed_unit
 from fiohost.estimation.seen import seen_of
 from fiohost.files import write_output
+from fiohost.judging.metrics import Errors, judge
+from fiohost.judging.units import LOG_UNIT, STARTS, metres
 from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fiohost.discover.candidate import Candidate
-from fiohost.discover.metrics import pool
-from fiohost.discover.stage import Stage
 from fiohost.discover.step import Found
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.intervals import Estimate, estimates
+from fiohost.judging.metrics import pool
+from fiohost.judging.stage import Stage
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 

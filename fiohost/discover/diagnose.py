@@ -17,24 +17,24 @@ from fiohost.checks.preliminary import Preliminary, examine
 from fiohost.checks.said import Said
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import believed
-from fiohost.discover.floor import Floor, floors
 from fiohost.discover.ladder import in_sequence, searched
-from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.missing_torque import Dependence, ForceCurve, dependences, force_curves
 from fiohost.discover.own_start import SETTINGS as OWN
 from fiohost.discover.own_start import OwnSettings, OwnStart, own_starts
-from fiohost.discover.stage import Stage
 from fiohost.discover.step import Step
 from fiohost.discover.unnamed import Unnamed, with_curves
-from fiohost.discover.verdict import Excess, excesses
 from fiohost.discover.whitened import drawing, looks_white, noise_of
-from fiohost.discover.workers import each
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, pwm_of, speed_unit, with_bench
 from fiohost.estimation.seen import seen_of
+from fiohost.judging.floor import Floor, floors
+from fiohost.judging.metrics import Errors, Judgement, judge, pool
+from fiohost.judging.missing_torque import Dependence, ForceCurve, dependences, force_curves
+from fiohost.judging.stage import Stage
+from fiohost.judging.verdict import Excess, excesses
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
+from fiohost.workers import each
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import WholeRuns, Windows
 from fiohost.discover.optimise import chosen_again
 from fiohost.discover.search import Node, Search
-from fiohost.discover.stage import Stage, judged
 from fiohost.discover.step import Found
 from fiohost.discover.whitened import drawing, noise_of
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
+from fiohost.judging.stage import Stage, judged
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.floor import replica_errors, replicas_of
-from fiohost.discover.levels import levels_of
 from fiohost.discover.screen import Score, Screen, powers
 from fiohost.discover.settings import SETTINGS, SearchSettings
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
+from fiohost.judging.floor import replica_errors, replicas_of
+from fiohost.judging.levels import levels_of
 from fiohost.noise.settings import SETTINGS as NOISE
 from fiohost.noise.whiten import unevenness
+from fiohost.workers import each
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def draw_null(
     gains = np.array([gain for gain, _ in drawn])  # (draws, effects)
     best = gains.max(axis=1, initial=0.0)
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))
-    levels = dict(zip([s.effect.name for s in scores], levels_of(gains, settings).tolist(), strict=True))
+    levels = dict(zip([s.effect.name for s in scores], levels_of(gains, settings.gumbel_sigmas).tolist(), strict=True))
     for effect in (s.effect for s in scores if s.effect.couples and not s.effect.angle_bound):
         levels[effect.name] = max(levels[effect.name], screen.by_lines)
     seen = {name: own for name, own in levels.items() if own > 0.0}

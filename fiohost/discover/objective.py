@@ -16,17 +16,17 @@ import numpy as np
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State
 from fiohost.discover.folds import folds
-from fiohost.discover.missing_torque import dependences, ruled
 from fiohost.discover.null import draw_null
 from fiohost.discover.optimise import again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Screen
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.stage import Stage, judged
 from fiohost.discover.whitened import drawing, plain, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
+from fiohost.judging.missing_torque import dependences, ruled
+from fiohost.judging.stage import Stage, judged
 from fiohost.motor.model import Model
 from fiohost.noise.runs import NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
@@ -272,7 +272,8 @@ class Windows(Logs):
         by_run = [noise.runs.by_run.get(run_of(r.name), np.zeros(3)) for r in self.train]
         own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
         records = drawing(self.train, replace(noise, runs=NO_SCATTER))
-        return ruled(records, own, estimates, [j.start for j in stage.judgements], self.rng, self.settings)
+        starts, s = [j.start for j in stage.judgements], self.settings
+        return ruled(records, own, estimates, starts, self.rng, s.follows, s.gumbel_sigmas)
 
 
 def _doubted(found: Fit) -> bool:

@@ -10,7 +10,6 @@ import numpy as np
 from fiohost.discover.folds import slices
 from fiohost.discover.screen import Score, Trial, varied
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
 from fiohost.estimation.initial import guessed_warmth, has_own_warmth
 from fiohost.estimation.intervals import covariance
@@ -19,6 +18,7 @@ from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect, Parameter, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.workers import each
 
 # A tolerance within which no step is worth taking.
 ENDLESS = 1e30

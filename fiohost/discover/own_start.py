@@ -14,19 +14,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.folds import piece
-from fiohost.discover.metrics import Judgement, judge, pool
 from fiohost.discover.movement import at_rest, movement, standing
 from fiohost.discover.whitened import with_noise
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.initial import has_own_zero
 from fiohost.estimation.predict import Flat
 from fiohost.estimation.record import SHORTEST, Record
+from fiohost.judging.metrics import Judgement, judge, pool
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, NO_SCATTER, RunToRun
+from fiohost.workers import each
 
 GAIN_KEY, LOAD_KEY, DELAY_EFFECT = "linear.gain_deg_s_per_pct", f"{LOAD_EFFECT}.level_pct", "transport_delay"
 DELAY_KEY = f"{DELAY_EFFECT}.delay_s"

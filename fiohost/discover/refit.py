@@ -16,10 +16,10 @@ from fiohost.discover.null import Null, draw_null
 from fiohost.discover.optimise import OPTIMISER, begun, carried_on, cost_of, fits_anew, gone_on, thorough_fit
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect
+from fiohost.workers import each
 
 
 class Logs(Protocol):

@@ -8,14 +8,14 @@ from typing import Any
 
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
-from fiohost.discover.metrics import Errors, pool
 from fiohost.discover.own_start import pooled as pooled_own
 from fiohost.discover.settings import SETTINGS as SEARCH
-from fiohost.discover.stage import Stage
-from fiohost.discover.units import LOG_UNIT, in_metres
-from fiohost.discover.verdict import Excess
 from fiohost.estimation.intervals import Estimate
 from fiohost.estimation.stamps import SETTINGS as STAMPS
+from fiohost.judging.metrics import Errors, pool
+from fiohost.judging.stage import Stage
+from fiohost.judging.units import LOG_UNIT, in_metres
+from fiohost.judging.verdict import Excess
 from fiohost.noise.estimate import Ranged
 from fiohost.noise.runs import FRICTIONS, LOAD_EFFECT
 from fiohost.noise.settings import SETTINGS as NOISE

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fiohost.discover.lines import Series, clock_lines
-from fiohost.discover.missing_torque import missing_torque
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.predict import Flat, errors, squared, windowed
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.tangent import Tangent
+from fiohost.judging.missing_torque import missing_torque
 from fiohost.motor.effect import Effect, Span, Value, effects
 from fiohost.motor.model import Model
 

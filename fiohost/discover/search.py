@@ -19,9 +19,9 @@ from fiohost.discover.evidence import Evidence, J, State
 from fiohost.discover.null import Null
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found, Step, named_with
-from fiohost.discover.workers import each
 from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
+from fiohost.workers import each
 
 
 @dataclass(frozen=True)

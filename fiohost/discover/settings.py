@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fiohost.judging.settings import FLOOR, TORQUE, VERDICT, FloorSettings, TorqueSettings, VerdictSettings
+
 
 @dataclass(frozen=True)
 class ScreenSettings:
@@ -122,57 +124,6 @@ class ScoreSettings:
 
 
 @dataclass(frozen=True)
-class FloorSettings:
-    """How the floor is drawn."""
-
-    # Bootstrap samples, and more where a figure stands just above the first: a tail is not known from so few.
-    replicas: int = 32
-    more_replicas: int = 160
-    # The angle within its count is known to between so much and so much at best; a free run this far beyond one count
-    # says nothing.
-    least_room_counts: tuple[float, float] = (0.002, 0.05)
-    lost_counts: float = 0.5
-    # Windows whose residual spans so many counts are wide: no angle fits all their samples.
-    wide: float = 1.15
-    # A fitted start that leaves less than this share of the squared error is another one, not the same a little better:
-    # play and drift in a gap that the first second does not show.
-    another_start: float = 0.25
-
-
-@dataclass(frozen=True)
-class Rule:
-    """How far a figure may stand above its bootstrap samples: a factor on them and a margin in the figure's own unit.
-
-    A model that is right but for the last digits of its parameters stays within these. Free runs are taken as a fit
-    weighs them: at rest they hang on last digits, which windows do not. ``counts`` and ``points`` (of percent) are how
-    much more nobody would call missing: no two simulators, and no bench twice, agree to a third of a count.
-    """
-
-    figure: str
-    factor: float
-    margin: float
-    by_scatter: bool
-    counts: float = 0.0
-    points: float = 0.0
-
-
-@dataclass(frozen=True)
-class VerdictSettings:
-    """When a residual is at its floor."""
-
-    rules: tuple[Rule, ...] = (
-        Rule("free_run_rms", 1.25, 0.0, True, counts=0.35),
-        Rule("window_rms", 1.03, 0.0, True, counts=0.1),
-        Rule("bin_violation_pct", 2.0, 6.0, False, points=24.0),
-        Rule("wide_windows_pct", 1.0, 3.0, False, points=7.0),
-    )
-    # A limit is so many standard deviations above the mean of the samples.
-    sigmas: float = 4.0
-    # Within this factor of its limit a figure may be there by the error of estimation.
-    near: float = 4.0
-
-
-@dataclass(frozen=True)
 class WhitenSettings:
     """How windows are whitened by what is left in them."""
 
@@ -194,15 +145,6 @@ class WhitenSettings:
     run_steps: tuple[float, float, float] = (1e-3, 1e-2, 0.05)
     # So near to where a model stops or starts, the shaft may do so otherwise: it is taken for moving there.
     kink_s: float = 0.1
-
-
-@dataclass(frozen=True)
-class TorqueSettings:
-    """How the missing torque is held against what it may follow."""
-
-    # Circular shifts in time that say what chance reaches, and bins of each variable.
-    shifts: int = 200
-    bins: int = 16
 
 
 @dataclass(frozen=True)
@@ -272,10 +214,10 @@ class SearchSettings:
     optimiser: OptimiserSettings = OptimiserSettings()
     moments: MomentSettings = MomentSettings()
     score: ScoreSettings = ScoreSettings()
-    floor: FloorSettings = FloorSettings()
-    verdict: VerdictSettings = VerdictSettings()
+    floor: FloorSettings = FLOOR
+    verdict: VerdictSettings = VERDICT
     whitening: WhitenSettings = WhitenSettings()
-    missing_torque: TorqueSettings = TorqueSettings()
+    missing_torque: TorqueSettings = TORQUE
 
 
 SETTINGS = SearchSettings()

@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.discover.movement import at_rest, coasting, movement, simulated_in_windows, standing
-from fiohost.discover.replica import Replicas, another_day
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.stage import Stage
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed
 from fiohost.estimation.record import Record
 from fiohost.estimation.starts import free_spans
 from fiohost.estimation.tangent import Tangent
+from fiohost.judging.replica import Replicas, another_day
+from fiohost.judging.stage import Stage
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.covariance import Movement
@@ -42,6 +41,7 @@ from fiohost.noise.runs import (
 )
 from fiohost.noise.settings import SETTINGS as NOISE_SETTINGS
 from fiohost.noise.whiten import Whitener, is_white, unevenness
+from fiohost.workers import each
 
 # A tolerance within which no step is worth taking.
 ENDLESS = 1e30

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fiohost.discover.missing_torque import bench_angle, missing_torque
 from fiohost.estimation.record import ANGLE
+from fiohost.judging.missing_torque import bench_angle, missing_torque
 from fiohost.motor.effect import Effect, effect
 from fiohost.motor.model import Model
 from fiohost.report.physical import spoken
@@ -23,8 +23,8 @@ from fiohost.report.words import effect_words, number
 
 if TYPE_CHECKING:
     from fiohost.discover.diagnose import Diagnosis
-    from fiohost.discover.metrics import Judgement
     from fiohost.estimation.record import Record
+    from fiohost.judging.metrics import Judgement
 
 GRID = 361
 BINS = 72

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.metrics import quantise
 from fiohost.estimation.predict import Flat, read
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.metrics import quantise
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, run_loaded, start_state
 from fiohost.noise.draw import draw_torque

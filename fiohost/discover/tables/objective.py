@@ -10,7 +10,6 @@ import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
-from fiohost.discover.levels import levels_of
 from fiohost.discover.null import Null
 from fiohost.discover.score import Gain, at_a_bound
 from fiohost.discover.tables.evidence import Table
@@ -23,10 +22,11 @@ from fiohost.discover.tables.starts import (
     held,
     to_the_end,
 )
-from fiohost.discover.workers import each
 from fiohost.estimation.intervals import Estimate, estimates
+from fiohost.judging.levels import levels_of
 from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
+from fiohost.workers import each
 
 # Those that come so much farther from the data than the best are not fitted to the end, or not cross-validated.
 FAR, HOPELESS = 12.0, 4.0
@@ -240,7 +240,7 @@ class TablesBeside:
             [max(was - readings.deviance(_rest(readings.fitted(state), e)), 0.0) for _, state in self.best]
             for was, e in zip(before, draws, strict=True)
         ]
-        levels = levels_of(np.array(gains), readings.settings).tolist()
+        levels = levels_of(np.array(gains), readings.settings.gumbel_sigmas).tolist()
         names = [item.name for item, _ in self.best]
         return Null(max(levels, default=0.0), dict(zip(names, levels, strict=True)), ())
 

@@ -13,17 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.levels import levels_of
-from fiohost.discover.metrics import Judgement, judge
-from fiohost.discover.replica import Replicas, another_day
-from fiohost.discover.settings import SETTINGS, SearchSettings
-from fiohost.discover.workers import each
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.levels import levels_of
+from fiohost.judging.metrics import Judgement, judge
+from fiohost.judging.replica import Replicas, another_day
+from fiohost.judging.settings import TORQUE
 from fiohost.motor.compiled import compiled
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-
-TORQUE = SETTINGS.missing_torque
+from fiohost.workers import each
 
 
 @compiled
@@ -289,11 +287,13 @@ def ruled(
     estimates: Sequence[Sequence[Model]],
     starts: Sequence[Start],
     rng: np.random.Generator,
-    settings: SearchSettings = SETTINGS,
+    least_share: float,
+    sigmas: float,
 ) -> bool:
-    """Whether the torque that ``models`` (one a record) lack follows angle, speed or duty: a share of it that matters,
-    and more than the 99 % point of bootstrap samples with the records' noise, each judged by one of the ``estimates``
-    that samples give (one a record each). A random torque follows nothing but itself, in time.
+    """Whether the torque that ``models`` (one a record) lack follows angle, speed or duty: more than ``least_share`` of
+    it, and more than the 99 % point of bootstrap samples with the records' noise, each judged by one of the
+    ``estimates`` that samples give (one a record each). A random torque follows nothing but itself, in time. ``sigmas``
+    are as ``levels_of`` takes them.
     """
 
     def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> _Torque:
@@ -301,7 +301,7 @@ def ruled(
         return _Torque.of(records, judges[0], found)
 
     missing = lacking(models, [None] * len(records))
-    shares = {n: missing.share(n) for n in missing.bins if n != "time" and missing.share(n) > settings.follows}
+    shares = {n: missing.share(n) for n in missing.bins if n != "time" and missing.share(n) > least_share}
     if not shares:
         return False
 
@@ -312,7 +312,7 @@ def ruled(
 
     rngs = rng.spawn(len(estimates))
     drawn = np.array(each(draw, range(len(estimates))))
-    return bool(np.any(np.array(list(shares.values())) > levels_of(drawn, settings)))
+    return bool(np.any(np.array(list(shares.values())) > levels_of(drawn, sigmas)))
 
 
 def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:

@@ -8,18 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.discover.metrics import quantise
-from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.predict import Begun, Flat, free_output, read, turned_deg, windowed
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
+from fiohost.judging.metrics import quantise
+from fiohost.judging.settings import FLOOR
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run_loaded, start_state
 from fiohost.motor.state import LOAD_THETA, THETA
 from fiohost.noise.draw import draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import run_of, varied
-
-FLOOR = SETTINGS.floor
 
 
 def within_count(record: Record, residual: np.ndarray) -> tuple[float, float]:

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.predict import Flat, free_output, free_states, read, window_residuals
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
+from fiohost.judging.settings import FLOOR
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-
-FLOOR = SETTINGS.floor
 
 
 @dataclass(frozen=True)

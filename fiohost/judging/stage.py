@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.floor import Floor, floors, replica_models
-from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.settings import SETTINGS
-from fiohost.discover.verdict import Excess, at_floor, excesses, near_limit, no_matter
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.floor import Floor, floors, replica_models
+from fiohost.judging.metrics import Errors, Judgement, judge, pool
+from fiohost.judging.settings import FLOOR
+from fiohost.judging.verdict import Excess, at_floor, excesses, near_limit, no_matter
 from fiohost.motor.model import Model
-
-FLOOR = SETTINGS.floor
+from fiohost.workers import each
 
 
 @dataclass(frozen=True)

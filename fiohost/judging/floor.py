@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.metrics import Errors, Judgement, judge, pool
-from fiohost.discover.replica import Replicas, another_day
-from fiohost.discover.settings import SETTINGS
-from fiohost.discover.workers import each
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
 from fiohost.estimation.repeats import repeats
+from fiohost.judging.metrics import Errors, Judgement, judge, pool
+from fiohost.judging.replica import Replicas, another_day
+from fiohost.judging.settings import FLOOR
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
-
-FLOOR = SETTINGS.floor
+from fiohost.workers import each
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.floor import Floor
-from fiohost.discover.metrics import Judgement
-from fiohost.discover.settings import SETTINGS, Rule
 from fiohost.estimation.record import Record
-
-VERDICT = SETTINGS.verdict
-
+from fiohost.judging.floor import Floor
+from fiohost.judging.metrics import Judgement
+from fiohost.judging.settings import VERDICT, Rule
 
 WHOLE_RUN = ("free_run_rms", "bin_violation_pct")
 

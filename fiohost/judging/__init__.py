@@ -1,0 +1,1 @@
+"""How well a model does: its figures on records, how small they could be, and what that says of it."""
