@@ -11,7 +11,7 @@ from fiohost.discover.screen import Screen, candidates
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
-from fiohost.motor.effect import effect
+from fiohost.motor.effect import Span, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -78,3 +78,12 @@ def test_several_orders_of_one_error_are_scored_together_whatever_their_phases()
         away = float(found.trials[0][key]) - value
         assert abs((away + 180.0) % 360.0 - 180.0 if key.startswith("phase") else away) < near
     assert found.directions[0].basis.shape[1] == 2 * len(effect("shaft_angle_error").couples)
+
+
+def test_a_line_of_an_hour_that_is_slower_than_any_ripple_is_not_tried() -> None:
+    ripple, model = effect("clock_ripple"), Model.parse("linear+coulomb_friction")
+    assert ripple.trials_for is not None
+    trials = ripple.trials_for(Span((0.0, 3600.0), (), lines_hz=(0.0047, 1.5)))
+    assert {t["frequency_hz"] for t in trials} == {1.5}
+    for trial in trials:
+        model.with_effect("clock_ripple", dict(trial))
