@@ -80,10 +80,15 @@ def test_several_orders_of_one_error_are_scored_together_whatever_their_phases()
     assert found.directions[0].basis.shape[1] == 2 * len(effect("shaft_angle_error").couples)
 
 
-def test_a_line_of_an_hour_that_is_slower_than_any_ripple_is_not_tried() -> None:
-    ripple, model = effect("clock_ripple"), Model.parse("linear+coulomb_friction")
-    assert ripple.trials_for is not None
-    trials = ripple.trials_for(Span((0.0, 3600.0), (), lines_hz=(0.0047, 1.5)))
-    assert {t["frequency_hz"] for t in trials} == {1.5}
-    for trial in trials:
-        model.with_effect("clock_ripple", dict(trial))
+def test_what_lies_beyond_a_parameters_bounds_is_not_tried() -> None:
+    """A line of an hour's log that is slower than any ripple; an end of travel, a change beyond all that is known."""
+    model = Model.parse("linear+coulomb_friction")
+    for name, slow, kept in (
+        ("clock_ripple", Span((0.0, 3600.0), (), lines_hz=(0.0047, 1.5)), 2),
+        ("hard_stop", Span((0.0, 3600.0), (2e7, 400.0)), 1),
+        ("parameter_change", Span((0.0, 3e6), ()), None),
+    ):
+        trials = effect(name).tried(slow)
+        assert kept is None or len(trials) == kept
+        for trial in trials:
+            model.with_effect(name, trial)

@@ -178,7 +178,7 @@ class Limits:
 
     def of(self, effect: Effect) -> list[Limit]:
         """The limits of one effect: one for each of its choices and orders."""
-        trials = [dict(t) for t in (effect.trials_for(span_of(self.records)) if effect.trials_for else effect.trials)]
+        trials = effect.tried(span_of(self.records))
         sizes = [p for p in effect.parameters if p.neutral is not None and p.is_smooth]
         if sizes:
             return [self._typical(effect, sizes, group) for group in _groups(effect, trials, sizes)]

@@ -72,7 +72,7 @@ def candidates(model: Model, records: Sequence[Record], library: Sequence[str] |
     names = effects() if library is None else library
     rotary = all(r.rotary and r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    trying = [e for e in chosen if e.trials or (e.trials_for and e.trials_for(span))]
+    trying = [e for e in chosen if e.tried(span)]
     return [e for e in trying if rotary or not e.angle_bound]
 
 
@@ -266,7 +266,7 @@ class Screen:
 
     def score(self, effect: Effect) -> Score:
         """Best share of the residual's power over the effect's trials, with the sign that physics allows."""
-        trials = [dict(t) for t in (effect.trials_for(self.span) if effect.trials_for else effect.trials)]
+        trials = effect.tried(self.span)
         if effect.couples:
             found = [self._swinging(effect, t) for t in trials]
         elif effect.points:

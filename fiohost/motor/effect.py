@@ -156,6 +156,10 @@ class Parameter:
             raise ModelError(f"{where} = {value:g} is outside {self.lower:g}..{self.upper:g} {self.unit}")
         return float(value)
 
+    def allows(self, value: Value) -> bool:
+        """Whether a value is within its bounds, or one of its choices."""
+        return value in self.choices if isinstance(value, str) else self.lower <= value <= self.upper
+
     def code(self, value: Value) -> float:
         """The number the kernel sees: the value itself, or the position of a choice."""
         return float(self.choices.index(value)) if isinstance(value, str) else value
@@ -260,6 +264,13 @@ class Effect:
     delay: Hook | None = field(default=None, repr=False)
     measure: Hook | None = field(default=None, repr=False)
     measure_speed: Hook | None = field(default=None, repr=False)
+
+    def tried(self, span: Span) -> list[dict[str, Value]]:
+        """The trials for what the data cover; what lies beyond the bounds of a parameter is none of this effect: a line
+        of an hour's log that is slower than any ripple.
+        """
+        trials = self.trials_for(span) if self.trials_for else self.trials
+        return [dict(t) for t in trials if all(p.allows(t[p.name]) for p in self.parameters if p.name in t)]
 
     @property
     def everywhere(self) -> bool:

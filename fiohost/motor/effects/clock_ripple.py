@@ -7,7 +7,6 @@ from typing import Any
 from fiohost.motor.effect import Effect, Parameter, Span, Value
 
 TORQUE, GAIN = 0.0, 1.0
-LOWEST_HZ, HIGHEST_HZ = 0.01, 100.0
 
 
 def swing(time_s: float, q: Any) -> float:
@@ -23,9 +22,8 @@ def voltage(volts_pct, duty_pct, time_s, z, q):  # type: ignore[no-untyped-def]
 
 
 def trials(span: Span) -> tuple[Mapping[str, Value], ...]:
-    """One for each line in what is left, of a torque and of a gain; what swings more slowly is no ripple."""
-    lines = [f for f in span.lines_hz if LOWEST_HZ <= f <= HIGHEST_HZ]
-    return tuple({"level_pct": 1.0, "frequency_hz": f, "of": of} for f in lines for of in ("torque", "gain"))
+    """One for each line in what is left, of a torque and of a gain."""
+    return tuple({"level_pct": 1.0, "frequency_hz": f, "of": of} for f in span.lines_hz for of in ("torque", "gain"))
 
 
 EFFECTS = (
@@ -42,7 +40,7 @@ EFFECTS = (
         signature="a line in the spectrum over time that stays where it is at any speed",
         parameters=(
             Parameter("level_pct", "%", 1.0, 0.0, 90.0, step=1e-3),
-            Parameter("frequency_hz", "Hz", 1.0, LOWEST_HZ, HIGHEST_HZ, neutral=None, step=1e-5, relative_step=True),
+            Parameter("frequency_hz", "Hz", 1.0, 0.01, 100.0, neutral=None, step=1e-5, relative_step=True),
             Parameter("phase_deg", "deg", 0.0, -1e4, 1e4, neutral=None, period=360.0),
             Parameter("of", "", "torque", neutral=None, choices=("torque", "gain")),
         ),
