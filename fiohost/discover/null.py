@@ -44,13 +44,14 @@ class BoundedDirections:
     """
 
     def __init__(self, basis: np.ndarray, edges: np.ndarray, block: float) -> None:
-        self.basis, self.edges = basis, edges
-        lengths = np.sqrt(np.add.reduceat(basis**2, edges, axis=0))
+        self.basis, self.ends = basis, [*zip(edges, [*edges[1:], len(basis)], strict=True)]
+        # Window by window: of a long record, all products at once would fill the memory.
+        lengths = np.array([np.sqrt(np.einsum("ij,ij->j", basis[a:b], basis[a:b])) for a, b in self.ends])
         self.most = (NOISE.most_of_a_window / np.sqrt(block) * lengths).astype(np.float32)
 
     def along(self, series: np.ndarray) -> np.ndarray:
         """The projections (k) of a series (n)."""
-        parts = np.add.reduceat(self.basis * series[:, None], self.edges, axis=0)
+        parts = np.array([series[a:b] @ self.basis[a:b] for a, b in self.ends])
         return np.asarray(np.clip(parts, -self.most, self.most).sum(axis=0))
 
 
