@@ -124,6 +124,7 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
     """
     share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
     parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
+    first, then, last = OPTIMISER.anew_steps
 
     def in_windows(score: Score) -> Fit:
         trials = score.trials[:1]
@@ -133,13 +134,13 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
             trials = tuple(score.raw[i] for i in least[: OPTIMISER.anew_starts])
         guesses = [first_guess(base.model.with_effect(score.effect.name, t), records) for t in trials]
         guesses = [g.with_values({"linear.tau_s": OPTIMISER.anew_lag_s}) for g in guesses]
-        near = (fit(g, parts, windows=True, max_iterations=2, tolerance=1e-2) for g in guesses)
+        near = (fit(g, parts, windows=True, max_iterations=first, tolerance=1e-2) for g in guesses)
         return min(near, key=lambda f: f.cost)
 
     near = each(in_windows, scores)
     best = list(range(len(near)))
     # Successive halving (Karnin, Koren and Somekh 2013): those that leave most are not carried further.
-    for kept, steps in ((2 * most, 3), (most, 7)):
+    for kept, steps in ((2 * most, then), (most, last)):
         best = sorted(best, key=lambda i: near[i].cost)[:kept]
         carried = each(partial(_on, records=parts, steps=steps), [near[i] for i in best])
         for i, found in zip(best, carried, strict=True):

@@ -64,6 +64,8 @@ class OptimiserSettings:
     anew_s: float = 60.0
     anew_least_s: float = 4.0
     anew_lag_s: float = 0.1
+    # Steps in windows of all that are begun anew, of the best of them, twice as many as are kept, and of these.
+    anew_steps: tuple[int, int, int] = (2, 3, 7)
     # Where to look along a parameter in which the error is not smooth, as factors on its value (lowest, highest,
     # looks); a moment is moved by their logarithms times moment_s.
     coarse: tuple[float, float, int] = (0.2, 5.0, 20)
