@@ -5,6 +5,7 @@ they are diagnosed: no more is kept of a candidate or a replica than is asked fo
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,17 @@ from bench_data import measure, steps, truth_model
 from fiohost.bench import rows as rows_module
 from fiohost.bench.log import Log
 from fiohost.bench.unwrap import ambiguous_steps
+from fiohost.discover.movement import movement
 from fiohost.discover.objective import Windows
 from fiohost.discover.refit import Job, ranked
+from fiohost.discover.whitened import with_noise
 from fiohost.errors import LogError
+from fiohost.estimation.fit import fit
 from fiohost.judging.floor import replica_floor
 from fiohost.judging.metrics import judge
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
+from fiohost.noise.estimate import NONE, Ranged
 
 HEAD = "# schema: fiohost.log/1\n# sample_time_s: 0.005\ntime_s,duty_pct,c3,c4,pos,direction,ref_deg,angle_deg,note\n"
 
@@ -124,3 +129,15 @@ def test_a_rough_fit_and_what_the_null_does_not_ask_for_keep_no_arrays() -> None
     (rough,) = beside.rough([Job(kept[0], root.fit, root.records)], float("inf"))
     assert rough.cost < root.fit.cost
     assert (rough.residuals, rough.jacobians, rough.nuisances) == ((), (), ())
+
+
+def test_of_a_long_log_only_what_is_looked_at_is_kept() -> None:
+    """Beside them everything between was zero, and whitened, and kept of each of a dozen candidates."""
+    rng = np.random.default_rng(1)
+    record = replace(measure(truth_model(), steps(40.0, rng), rng), every=8)
+    whole = fit(Model(), [record], windows=True, max_iterations=3)
+    noise = replace(NONE, torque_pct=Ranged(0.5, 0.5, 0.5), torque_s=Ranged(0.1, 0.1, 0.1))
+    moves = [movement(record, whole.model, whole.starts[0])]
+    white = fit(whole.model, with_noise([record], whole.model, noise, moves), windows=True, starts=whole.starts)
+    for found in (whole, white):
+        assert len(found.residuals[0]) == len(found.jacobians[0]) == found.samples <= len(record) / 4

@@ -159,7 +159,7 @@ def test_windows_of_long_records_are_looked_at_in_step_with_nothing() -> None:
     bare = make_record("long", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
     angle = free_output(bare, Flat.of(truth), Start(0.0, 0.0)) + 0.5 * rng.standard_normal(n)
     windows = Windows([make_record("long", times, duty, angle, quantum=0.5, at_rest=True)])
-    firsts = np.concatenate([r.looked_at()[0] * STEP_S + r.excitation.clock_s for r in windows.plain])
+    firsts = np.concatenate([r.looked_at[0] * STEP_S + r.excitation.clock_s for r in windows.plain])
     assert 0.8 * SETTINGS.most_windows <= len(firsts) <= SETTINGS.most_windows + len(windows.plain)
     halves = np.bincount((firsts % 2.0 >= 1.0).astype(int), minlength=2)
     assert halves.min() > 0.4 * len(firsts)

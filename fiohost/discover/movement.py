@@ -66,7 +66,7 @@ def movement(record: Record, model: Model, start: Start) -> Movement:
     begins = windowed(record, Flat.of(model), start)[1].states.copy()
     begins[:, [THETA, LOAD_THETA]] += turned_deg(record, flat)
     keeps = np.ones(len(record))
-    for begin, a, b in zip(begins, *(ends.tolist() for ends in record.looked_at()), strict=True):
+    for begin, a, b in zip(begins, *(ends.tolist() for ends in record.looked_at), strict=True):
         states = run(ex, flat.p, flat.on, flat.substep_s, begin, a, b)
         steps, kept = np.diff(ex.times_s[a:b]), speed_kept(ex, flat.p, flat.on, flat.substep_s, states, step, a)
         turns = states[:-1, OMEGA] * states[1:, OMEGA] < 0.0

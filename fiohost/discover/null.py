@@ -69,7 +69,7 @@ def draw_null(
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
     basis = np.concatenate(columns, axis=1)
     ends = np.cumsum([d.basis.shape[1] for d in directions])
-    edges, replicas = [r.windows for r in records], replicas_of(fitted, records, anywhere=True)
+    edges, replicas = [r.edges for r in records], replicas_of(fitted, records, anywhere=True)
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
     bounded = BoundedDirections(basis, screen.window_edges(), block) if fitted.windows else None

@@ -256,7 +256,7 @@ class Windows(Logs):
 
     def _looks_white(self, state: State) -> bool:
         null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
-        uneven = unevenness(state.fit.residuals, [r.windows for r in state.records])
+        uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
         return is_white(uneven, null.unevenness) and not self._ruled(state)
 
     @property

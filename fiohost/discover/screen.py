@@ -111,7 +111,8 @@ class Screen:
         flat = Flat.of(fit.model)
         self._blocks = [max(1, round(SCREEN.resolution_s / r.sample_time_s)) for r in records]
         steps_s = [n * r.sample_time_s for r, n in zip(records, self._blocks, strict=True)]
-        self.lengths = [len(r) // n for r, n in zip(records, self._blocks, strict=True)]
+        samples = [r.edges[-1] if fit.windows else len(r) for r in records]
+        self.lengths = [k // n for k, n in zip(samples, self._blocks, strict=True)]
         pairs = list(zip(records, fit.starts, strict=True))
         self._base = [] if fit.windows else [errors(r, flat, s) for r, s in pairs]
         self._tangents = [Tangent(r, flat, s, windowed(r, flat, s)[1]) for r, s in pairs] if fit.windows else []
@@ -155,7 +156,7 @@ class Screen:
         """Where (m) in the series of all records as one the windows begin."""
         firsts, at = [], 0
         for record, n, length in zip(self.records, self._blocks, self.lengths, strict=True):
-            begins = np.unique(record.windows[:-1] // n)
+            begins = np.unique(record.edges[:-1] // n)
             firsts.append(at + begins[begins < length])
             at += length
         return np.concatenate(firsts)

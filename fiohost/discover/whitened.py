@@ -131,7 +131,7 @@ def around_runs(
     for record, start in zip(records, found.starts, strict=True):
         name, disturbance = run_of(record.name), record.disturbance or Disturbance(NONE)
         values = runs.by_run.get(name, np.zeros(3))
-        near = replace(record, disturbance=replace(disturbance, own=Own.alone(values, len(record))))
+        near = replace(record, disturbance=replace(disturbance, own=Own.alone(values, record.edges[-1])))
         by = run_columns(near, found.model, start) / growth(values)
         left = windowed(near, flat, start)[0] + by @ values
         columns.append(by)
@@ -176,7 +176,7 @@ def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Se
     found = []
     for record, moves in zip(records, moving, strict=True):
         times = record.excitation.times_s
-        whitener = Whitener(times, moves, record.weights, *record.looked_at(), motor_of(record, model), noise)
+        whitener = Whitener(times, moves, record.weights, *record.looked_at, motor_of(record, model), noise)
         found.append(replace(record, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 
@@ -240,7 +240,7 @@ def settle(
 
 def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
     """Whether what a stage leaves in windows is as white as what its own bootstrap samples leave, at 1 %."""
-    flat, edges = Flat.of(stage.fit.model), [r.windows for r in records]
+    flat, edges = Flat.of(stage.fit.model), [r.edges for r in records]
     starts = [j.start for j in stage.judgements]
     pairs = zip(records, stage.judgements, strict=True)
     replicas = [Replicas(r, stage.fit.model, j.start, j.free_residual) for r, j in pairs]

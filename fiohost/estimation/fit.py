@@ -36,7 +36,8 @@ REACH_SHRINKS = 0.3
 class Fit:
     """A fitted model with what is needed to judge it.
 
-    ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)): measured minus simulated, and the
+    ``residuals`` and ``jacobians`` hold one array a record, (n) and (n, len(names)), in windows of the samples that are
+    looked at: measured minus simulated, and the
     derivative of the simulation by each free parameter with the initial state projected out, both times the records'
     weights where whole runs are fitted. ``nuisances`` are the derivatives by the initial state, ``starts`` the records'
     initial angles and speeds, ``samples`` the number of readings, weighted likewise. ``windows`` says what was fitted.
@@ -308,15 +309,9 @@ def fit(
         nuisances=tuple(nuisances),
         starts=tuple(point.starts),
         converged=converged,
-        samples=float(sum(_readings(r) if windows else r.weights @ r.weights for r in records)),
+        samples=float(sum(r.edges[-1] if windows else r.weights @ r.weights for r in records)),
         windows=windows,
     )
-
-
-def _readings(record: Record) -> int:
-    """How many readings are in the windows that are looked at."""
-    firsts, lasts = record.looked_at()
-    return int((lasts - firsts).sum())
 
 
 def best_of(candidates: Sequence[Model], run: Callable[[Model], Fit]) -> Fit:

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record, one_by_one
 from fiohost.estimation.windows import fit_windows, read_output
 from fiohost.motor.effect import effect, effects
 from fiohost.motor.model import Model, slot
@@ -155,7 +155,7 @@ def free_states(
 
 def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
     """States (m, STATE_SIZE) of a free run where the windows that are looked at begin."""
-    firsts, ex = record.looked_at()[0], record.excitation
+    firsts, ex = record.looked_at[0], record.excitation
     if SPARSE * len(firsts) >= len(record.windows):
         return begin_windows(record, free_states(record, flat, start))
     # The first window of a record is always looked at, so this run begins where the whole one does.
@@ -164,7 +164,7 @@ def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
 
 def begin_windows(record: Record, states: np.ndarray) -> np.ndarray:
     """Of states (n, STATE_SIZE) of a free run, those (m, STATE_SIZE) where the windows that are looked at begin."""
-    return _behind_gaps(record, np.ascontiguousarray(states[record.looked_at()[0]]))
+    return _behind_gaps(record, np.ascontiguousarray(states[record.looked_at[0]]))
 
 
 def _behind_gaps(record: Record, states: np.ndarray) -> np.ndarray:
@@ -173,7 +173,7 @@ def _behind_gaps(record: Record, states: np.ndarray) -> np.ndarray:
     """
     if not record.broken:
         return states
-    firsts = record.looked_at()[0]
+    firsts = record.looked_at[0]
     behind = np.flatnonzero(np.diff(record.segments[firsts], prepend=record.segments[firsts[0]]))
     omegas = states[:, OMEGA].copy()
     omegas[behind] = [record.speed_at(int(firsts[w])) for w in behind]
@@ -214,9 +214,9 @@ def fitted_windows(
     free_speed: bool,
     columns: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals (n), angle shifts (m) and speeds (m) of windows, by first sample and that after the last (m each),
-    fitted from ``bases`` (m, STATE_SIZE), and the outputs' derivatives (2, n) by speed and angle, of which those of a
-    fit nearby serve as ``columns``; no residuals between windows.
+    """Residuals (k), angle shifts (m) and speeds (m) of windows, by first sample and that after the last (m each),
+    fitted from ``bases`` (m, STATE_SIZE), and the outputs' derivatives (2, k) by speed and angle, of which those of a
+    fit nearby serve as ``columns``; samples (k) are those of the windows, one after the other.
     """
     ex = record.excitation
     turned = turned_deg(record, flat)
@@ -225,12 +225,13 @@ def fitted_windows(
         bases[:, [THETA, LOAD_THETA]] += turned
     firsts, lasts = windows
     longest = int(np.max(lasts - firsts))
-    residuals = np.zeros(len(record))
+    edges = one_by_one(firsts, lasts)
+    residuals = np.zeros(edges[-1])
     shifts, omegas = np.zeros(len(firsts)), np.zeros(len(firsts))
     known = columns is not None
-    own = np.zeros((2, len(record))) if columns is None else columns.copy()
+    own = np.zeros((2, edges[-1])) if columns is None else columns.copy()
     fit_windows(
-        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, record.sure, firsts, lasts, bases,
+        ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, y, record.sure, firsts, lasts, edges, bases,
         free_speed, flat.bends, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, speed_step(flat), residuals,
         shifts, omegas, np.zeros(WORK_SIZE), np.empty((longest, STATE_SIZE)), np.empty(longest), np.empty(longest),
         known, own,
@@ -239,7 +240,7 @@ def fitted_windows(
 
 
 def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: np.ndarray | None = None) -> np.ndarray:
-    """Measured, or ``y``, minus simulated (n) as a fit weighs it: of the whole run, or of one-second windows."""
+    """Measured, or ``y``, minus simulated as a fit weighs it: of the whole run (n), or of one-second windows (k)."""
     if windows:
         return windowed(record, flat, start, y)[0]
     return np.asarray(record.weights * ((record.y if y is None else y) - free_output(record, flat, start)))
@@ -254,7 +255,7 @@ def squared(parts: Iterable[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Begun:
-    """Where a record's windows begin (m, STATE_SIZE) under a model, and the outputs' derivatives (2, n) by their speed
+    """Where a record's windows begin (m, STATE_SIZE) under a model, and the outputs' derivatives (2, k) by their speed
     and angle: with a model nearby they are found sooner from there.
     """
 
@@ -283,12 +284,12 @@ def _as_fitted(record: Record, residuals: np.ndarray) -> np.ndarray:
 
 
 def whitened(record: Record, series: np.ndarray) -> np.ndarray:
-    """Derivatives (n) over a record's windows as a fit sees them: whitened where the record's noise is known."""
+    """Derivatives (k) over a record's windows as a fit sees them: whitened where the record's noise is known."""
     return record.disturbance.whitened(series) if record.disturbance else series
 
 
 def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """Measured minus simulated (n) with angle and speed free in each one-second window, other states from
+    """Measured minus simulated (k) with angle and speed free in each one-second window, other states from
     ``states``, ``flat`` being for the record's zero.
     """
     return in_windows(record, flat, states, y)[0]
@@ -303,7 +304,7 @@ def _from_bases(
     record: Record, flat: Flat, bases: np.ndarray, y: np.ndarray | None, columns: np.ndarray | None = None
 ) -> tuple[np.ndarray, Begun]:
     data = record.y if y is None else y
-    residuals, shifts, omegas, found = fitted_windows(record, flat, data, record.looked_at(), bases, True, columns)
+    residuals, shifts, omegas, found = fitted_windows(record, flat, data, record.looked_at, bases, True, columns)
     return residuals, Begun(moved(bases, bases[:, THETA] + shifts, omegas), found)
 
 

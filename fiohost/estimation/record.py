@@ -50,7 +50,8 @@ class Record:
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
     where on the bench's turn its angle is zero, ``begins`` that the bench's own time does with it. ``pwm_hz`` is the
     frequency of the bridge's PWM, 0 where unknown. ``weights`` (n) are by what whole runs weigh the readings' errors,
-    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at. ``segments`` (n)
+    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at: what is fitted
+    to them is an array of their samples (k) alone. ``segments`` (n)
     number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
     ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
     clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared. With a
@@ -120,12 +121,18 @@ class Record:
             (self.y[last] - self.y[i]) / max(self.excitation.times_s[last] - self.excitation.times_s[i], 1e-12)
         )
 
+    @cached_property
     def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
         """The first sample of every window that is looked at, and that after its last: evenly spread, but not in step
         with anything that repeats itself.
         """
         chosen = (np.arange(len(self.windows) - 1) * GOLDEN) % 1.0 < 1.0 / self.every
         return self.windows[:-1][chosen], self.windows[1:][chosen]
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Where windows begin and end (m + 1) among the samples of those that are looked at, one after the other."""
+        return one_by_one(*self.looked_at)
 
     @property
     def acting_pct(self) -> np.ndarray:
@@ -166,6 +173,11 @@ def thinned(record: Record, step_s: float) -> Record:
         windows=cut_windows(times, segments=segments),
         weights=rest_weights(y, record.kind, quantum, sample_time_s),
     )
+
+
+def one_by_one(firsts: np.ndarray, lasts: np.ndarray) -> np.ndarray:
+    """Edges (m + 1) of windows from ``firsts`` up to ``lasts`` (m each) where nothing is kept between them."""
+    return np.concatenate(([0], np.cumsum(lasts - firsts)))
 
 
 def cut_windows(times_s: np.ndarray, length_s: float = 1.0, segments: np.ndarray | None = None) -> np.ndarray:

@@ -30,25 +30,24 @@ class Tangent:
         self.record = record
         self.flat = of_run(record, flat, start)
         self.begins = begun.states
-        self.firsts, self.lasts = record.looked_at()
+        self.firsts, self.lasts = record.looked_at
         # Of a long record few windows are looked at: everything is of their samples (k), one after the other.
-        lengths = self.lasts - self.firsts
-        self.window = np.repeat(np.arange(len(lengths)), lengths)
-        self.before = np.cumsum(lengths) - lengths
-        self.rows = np.arange(len(self.window)) + (self.firsts - self.before)[self.window]
+        self.edges, lengths = record.edges, self.lasts - self.firsts
+        self.window, self.before = np.repeat(np.arange(len(lengths)), lengths), self.edges[:-1]
+        self.rows = np.arange(self.edges[-1]) + (self.firsts - self.before)[self.window]
         self.sure = record.sure[self.rows]
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
-        """The derivative (n) by what differs in a model or a start by ``step``; what either remembers beside angle and
+        """The derivative (k) by what differs in a model or a start by ``step``; what either remembers beside angle and
         speed is from a free run.
         """
         return np.asarray(self.by_each([(flat, start, step)])[:, 0])
 
     def by_each(self, changes: Sequence[tuple[Flat, Start, float]]) -> np.ndarray:
-        """Derivatives (n, k) by each of several changes (k): model, start and step as ``by`` takes them."""
-        found = np.zeros((len(self.record), len(changes)))
+        """Derivatives (k, changes) by each of several changes: model, start and step as ``by`` takes them."""
+        found = np.empty((len(self.rows), len(changes)))
         for j, (flat, start, step) in enumerate(changes):
-            found[self.rows, j] = self.unwhitened(flat, start, step)
+            found[:, j] = self.unwhitened(flat, start, step)
         return whitened(self.record, found)
 
     def unwhitened(self, flat: Flat, start: Start, step: float) -> np.ndarray:
@@ -90,13 +89,14 @@ class Tangent:
         if turned != 0.0:
             begins = begins.copy()
             begins[:, [THETA, LOAD_THETA]] += turned
-        outputs = np.zeros(len(record))
+        outputs = np.zeros(len(self.rows))
         states = np.empty((int(np.max(self.lasts - self.firsts)), STATE_SIZE))
         window_outputs(
-            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, record.y, self.firsts, self.lasts, begins,
-            record.kind, flat.seen, flat.substep_s, flat.p, flat.on, np.zeros(WORK_SIZE), states, outputs,
+            ex.times_s, ex.act_times_s, ex.duties_pct, ex.modes, ex.clock_s, record.y, self.firsts, self.lasts,
+            self.edges, begins, record.kind, flat.seen, flat.substep_s, flat.p, flat.on, np.zeros(WORK_SIZE), states,
+            outputs,
         )  # fmt: skip
-        return np.asarray(outputs[self.rows])
+        return outputs
 
     def _products(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Sums of products (m) over each window's samples, weighed as those are from which its start is found."""

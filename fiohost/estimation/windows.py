@@ -135,6 +135,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
     sure,
     firsts,
     lasts,
+    edges,
     bases,
     free_speed,
     bends,
@@ -157,14 +158,15 @@ def fit_windows(  # type: ignore[no-untyped-def]
     """Fit angle shift and speed of the windows from ``firsts`` (m) up to ``lasts`` (m); ``bases`` (m, states) are the
     free run's states at their first samples.
 
-    Readings count by how ``sure`` (n) they are, one over their variance or alike. Writes ``residuals`` (n), measured
-    minus simulated, ``shifts`` (m) and ``omegas`` (m). ``bends`` says that torques depend on the angle, so that a shift
-    is not just added to the output. ``columns`` (2, n) are the outputs' derivatives by speed and angle; where they are
-    ``known`` from nearby they serve as long as steps do what they promise. The four arguments before ``known`` are work
-    space.
+    Readings count by how ``sure`` (n) they are, one over their variance or alike. Writes ``residuals`` (k), measured
+    minus simulated, one window after the other at ``edges`` (m + 1), ``shifts`` (m) and ``omegas`` (m). ``bends`` says
+    that torques depend on the angle, so that a shift is not just added to the output. ``columns`` (2, k) are the
+    outputs' derivatives by speed and angle; where they are ``known`` from nearby they serve as long as steps do what
+    they promise. The four arguments before ``known`` are work space.
     """
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
+        place = edges[w]
         n = b - a
         total = 0.0
         for i in range(a, b):
@@ -189,7 +191,7 @@ def fit_windows(  # type: ignore[no-untyped-def]
             cost += sure[a + i] * (y[a + i] - y0[i]) ** 2
         damping = 1e-9
         aa, sa, ss = 0.0, 0.0, 0.0
-        by_speed, by_angle = columns[0, a:b], columns[1, a:b]
+        by_speed, by_angle = columns[0, place : place + n], columns[1, place : place + n]
         serving, moved, summed = known, known, False
         for _ in range(16):
             if not serving:
@@ -235,17 +237,34 @@ def fit_windows(  # type: ignore[no-untyped-def]
         shifts[w] = shift
         omegas[w] = omega
         for i in range(n):
-            residuals[a + i] = y[a + i] - y0[i]
+            residuals[place + i] = y[a + i] - y0[i]
 
 
 @compiled
 def window_outputs(  # type: ignore[no-untyped-def]
-    times, act_times, duties, modes, clock, y, firsts, lasts, begins, kind, seen, substep, p, on, state, states, outputs
+    times,
+    act_times,
+    duties,
+    modes,
+    clock,
+    y,
+    firsts,
+    lasts,
+    edges,
+    begins,
+    kind,
+    seen,
+    substep,
+    p,
+    on,
+    state,
+    states,
+    outputs,
 ):
-    """The ``outputs`` (n) of windows that begin at ``begins`` (m, states); between them they are left as they are."""
+    """The ``outputs`` (k) of windows that begin at ``begins`` (m, states), one after the other at ``edges`` (m + 1)."""
     for w in range(firsts.shape[0]):
         a, b = firsts[w], lasts[w]
         begin = begins[w]
         _move(state, begin, 0.0, begin[OMEGA], p, on)
         simulate(times, act_times, duties, modes, clock, a, b, state, substep, p, on, states)
-        window_output(times, states, a, b - a, kind, seen, p, on, y, outputs[a:b])
+        window_output(times, states, a, b - a, kind, seen, p, on, y, outputs[edges[w] : edges[w + 1]])

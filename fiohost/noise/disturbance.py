@@ -22,14 +22,14 @@ class Disturbance:
     own: Own | None = field(default=None, repr=False)
 
     def whitened(self, series: np.ndarray) -> np.ndarray:
-        """A series (n) or several (n, k) over the record's windows, whitened."""
+        """A series (k) or several (k, c) over the samples of the record's windows, whitened."""
         if self.whitener is None:
             return series
         white = self.whitener.apply(series)
         return white if self.own is None else self.own.weighed(white)
 
     def residuals(self, series: np.ndarray) -> np.ndarray:
-        """What the model with a run's own values leaves (n), whitened, as the runs' mean would leave it."""
+        """What the model with a run's own values leaves (k), whitened, as the runs' mean would leave it."""
         white = self.whitened(series)
         return white if self.own is None else white + self.own.back()
 

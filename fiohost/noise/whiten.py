@@ -16,9 +16,9 @@ FEWEST = 3
 
 
 class Whitener:
-    """Whitens series over a record's windows, and takes out of each what its own angle and speed at its beginning could
-    take: what is left of a true model has unit variance outside these. ``sure`` (n) is one over the variance of each
-    reading from a known start.
+    """Whitens series over the samples (k) of a record's windows, and takes out of each window what its own angle and
+    speed at its beginning could take: what is left of a true model has unit variance outside these. ``sure`` (n) is one
+    over the variance of each reading from a known start.
 
     For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n), in which the shaft moves as ``moving``
     says; ``weights`` (n) are those by which counts that err alike are weighed together.
@@ -34,36 +34,40 @@ class Whitener:
         motor: Motor,
         noise: Noise,
     ) -> None:
-        long = lasts - firsts >= FEWEST
-        firsts, lengths = firsts[long].astype(np.int64), (lasts - firsts)[long].astype(np.int64)
+        long, all_lengths = lasts - firsts >= FEWEST, (lasts - firsts).astype(np.int64)
+        lengths, self._samples = all_lengths[long], int(all_lengths.sum())
         places = np.cumsum(lengths) - lengths
-        self._rows = np.repeat(firsts - places, lengths) + np.arange(int(lengths.sum()))
-        n, states = len(self._rows), COUNTED if motor.kind == MEAN_SPEED else STATES
+        within = np.arange(int(lengths.sum())) - np.repeat(places, lengths)
+        rows = np.repeat(firsts[long].astype(np.int64), lengths) + within
+        self._at = np.repeat((np.cumsum(all_lengths) - all_lengths)[long], lengths) + within
+        n, states = len(rows), COUNTED if motor.kind == MEAN_SPEED else STATES
         begins = np.zeros(n, dtype=bool)
         begins[places] = True
-        self._weights, self._links = weights[self._rows], np.zeros((n, LINKS))
+        self._weights, self._links = weights[rows], np.zeros((n, LINKS))
         torque, count = noise.torque_pct.value**2, motor.quantum**2 / 12.0
         at_start = min(noise.torque_pct.value, SETTINGS.most_at_start_pct) ** 2
         follow(
-            times_s, moving.lag_s, moving.keeps, self._rows, begins, motor.gain, motor.tau_s, motor.kind,
+            times_s, moving.lag_s, moving.keeps, rows, begins, motor.gain, motor.tau_s, motor.kind,
             noise.torque_s.value, self._links,
         )  # fmt: skip
         own = np.full(n, noise.sensor.value**2)
         own += 0.0 if motor.kind == MEAN_SPEED else count / self._weights**2
         self._gains, self._scales, sure = np.zeros((n, states)), np.zeros(n), np.ones(n)
         determinant = filters(
-            self._weights, begins, moving.stands[self._rows], self._links, own, count, torque, at_start,
+            self._weights, begins, moving.stands[rows], self._links, own, count, torque, at_start,
             motor.kind, motor.tau_s, self._gains, self._scales, sure, np.zeros((states, states)),
         )  # fmt: skip
         self.log_determinant = float(determinant)
         self.sure = np.ones(len(times_s))
-        self.sure[self._rows] = sure
+        self.sure[rows] = sure
 
     def apply(self, series: np.ndarray) -> np.ndarray:
-        """A series (n) or several (n, k) of the record, whitened; zero outside the windows."""
+        """A series (k) or several (k, c) of the windows' samples, whitened; zero in windows of too few."""
+        if len(series) != self._samples:
+            raise ValueError(f"{len(series)} samples of windows that hold {self._samples}")
         columns = np.ascontiguousarray(series, dtype=np.float64).reshape(len(series), -1)
         out, states = np.zeros_like(columns), np.zeros((self._gains.shape[1], columns.shape[1]))
-        innovations(columns, self._rows, self._links, self._weights, self._gains, self._scales, states, out)
+        innovations(columns, self._at, self._links, self._weights, self._gains, self._scales, states, out)
         return out.reshape(series.shape)
 
 
