@@ -12,6 +12,7 @@ from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, count
 from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import WholeRuns, Windows
 from fiohost.discover.optimise import chosen_again
+from fiohost.discover.plain import PlainWindows
 from fiohost.discover.search import Node, Search
 from fiohost.discover.step import Found
 from fiohost.discover.whitened import drawing, noise_of
@@ -42,7 +43,7 @@ def searched(
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    windows, put_off = Windows(train, np.random.default_rng(NOISE_SEED)), False
+    windows = Windows(train, np.random.default_rng(NOISE_SEED))
 
     def pushed(model: Model) -> bool:
         """Whether all that a model leaves in windows is a random torque: no whole run can be followed then."""
@@ -50,31 +51,18 @@ def searched(
         found = probe.settled(fit(model, probe.plain, windows=True, max_iterations=12))
         return found.noise is not None and found.noise.torque_known and probe.white(found)
 
-    def anew(best: Fit) -> bool:
-        """Whether whole runs are worth beginning anew in before windows have been asked."""
-        nonlocal put_off
-        put_off = put_off or runs.few or pushed(best.model)
-        return not put_off
-
     def in_vain(node: Node) -> bool:
         """Whether no structure follows whole runs. Beside one name a random torque may still be another, which windows
         do not tell from it.
         """
         return len(node.added) > 1 and pushed(node.state.fit.model)
 
-    runs = WholeRuns(train, rng, anew)
+    runs = WholeRuns(train, rng)
     whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
     root = whole.declared(model, from_file)
     if whole.explains(root):
         return whole.found(root, root)
     exact = not (any(r.broken for r in train) or noisy_sensor(train))
-    if exact and not runs.few:
-        best = whole.run(root)
-        if whole.explains(best):
-            return whole.found(root, best)
-        if timed := _by_one_clock(runs, library, say, model, from_file):
-            return timed
-    say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
     shown = [n for n in (effects() if library is None else library) if n not in hidden]
     near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
 
@@ -90,11 +78,8 @@ def searched(
     def enough(node: Node) -> bool:
         return exact and whole.explains(as_whole_runs(node))
 
-    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
-    begun = by_windows.declared(model, from_file)
-    seen = by_windows.run(begun)
-    runs.anew = lambda best: False  # windows have led near, or nothing does
-    if exact and (seen.added or runs.few):  # else they have been asked from there
+    def led(seen: Node) -> Node | None:
+        """What explains whole runs from where windows led, or None."""
         again = as_whole_runs(seen)
         if not whole.explains(again):
             again = Node(runs.finished(again.state), seen.added)
@@ -102,15 +87,41 @@ def searched(
             again = whole.exchanged(again, root=None if runs.only_counts(again.state) else root)
         else:
             again = whole.run(again)
-        if whole.explains(again):
-            return whole.found(root, again)
+        return again if whole.explains(again) else None
+
+    def far() -> Found[Stage] | None:
+        """What explains whole runs where effects begin from values of their own, or None."""
+        search = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct)
+        best = search.run(root)
+        return search.found(root, best) if search.explains(best) else None
+
+    begun_anew = not exact
+    if exact and not runs.few:
+        best: Node | None = whole.run(root)
+        if best is not None and whole.explains(best):
+            return whole.found(root, best)
+        if timed := _by_one_clock(runs, library, say, model, from_file):
+            return timed
+        say("whole runs stay unexplained: windows of 1 s")
+        plain = PlainWindows(train, np.random.default_rng(NOISE_SEED))
+        rough = Search(plain, shown, say, tolerance_pct=tolerance_pct, enough=enough)
+        seen = rough.run(rough.declared(model, from_file))
+        if seen.added and (best := led(seen)):
+            return whole.found(root, best)
+        if not pushed(seen.state.fit.model):
+            begun_anew = True
+            if anew := far():
+                return anew
+    say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
+    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
+    begun = by_windows.declared(model, from_file)
+    seen = by_windows.run(begun)
+    if exact and (seen.added or runs.few) and (best := led(seen)):
+        return whole.found(root, best)
     found = by_windows.found(begun, seen)
     found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
-    if exact and (runs.few or put_off) and not (found.white and found.final.follows):
-        far = Search(WholeRuns(train, rng, lambda best: True), library, say, tolerance_pct=tolerance_pct)
-        best = far.run(root)
-        if far.explains(best):
-            return far.found(root, best)
+    if not begun_anew and not (found.white and found.final.follows):
+        return far() or found
     return found
 
 

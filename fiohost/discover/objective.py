@@ -7,7 +7,7 @@ that is left. Both give a deviance, -2 log likelihood but for a constant, and ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -39,11 +39,9 @@ class Logs(Evidence[Stage]):
         self,
         train: Sequence[Record],
         rng: np.random.Generator | None = None,
-        anew: Callable[[Fit], bool] = lambda best: False,
+        anew: bool = False,
     ) -> None:
-        """``anew`` says whether candidates may begin from values of their own where none comes close, the best of them
-        included.
-        """
+        """``anew`` says that candidates may begin from values of their own where none comes close."""
         super().__init__(rng)
         self.train, self.anew = train, anew
         self.records, self.groups = folds(train)
@@ -165,7 +163,7 @@ class Windows(Logs):
     exact = False
 
     def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None) -> None:
-        super().__init__(train, rng)
+        super().__init__(train, rng, anew=True)
         every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)

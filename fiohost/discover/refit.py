@@ -18,7 +18,7 @@ from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
-from fiohost.motor.effect import Effect
+from fiohost.motor.effect import Effect, effect
 from fiohost.workers import each
 
 
@@ -26,12 +26,11 @@ class Logs(Protocol):
     """What is asked of the logs' evidence."""
 
     exact: bool
+    # Whether candidates may begin from values of their own where none comes close.
+    anew: bool
     settings: SearchSettings
     rng: np.random.Generator
     records: list[Record]
-
-    def anew(self, best: Fit) -> bool:
-        """Whether candidates may begin from values of their own where none comes close, not even the ``best``."""
 
     def screens(self, state: State) -> list[Screen]:
         """Around which fits the library is scored."""
@@ -83,12 +82,15 @@ class LogsBeside:
         # The null asks for the directions of the first screen.
         self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
         s, floor = self.logs.settings, self.logs.floor_rms(self.state)
-        jobs = self.worth()
+        itself = self.completes(rival)
+        jobs = [job for job in self.worth() if job.name not in itself]
+        if not jobs:
+            return []
         say(f"refitting {len({job.name for job in jobs})} of them")
         rough = self.rough(jobs, floor, rival)
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
             say("whole runs are far from the floor with every effect")
-            if rival or not self.logs.anew(min(rough, key=lambda f: f.cost)):
+            if rival or not self.logs.anew:
                 return []
             say("beginning anew with each of them")
             first = self.screens[0]
@@ -100,9 +102,13 @@ class LogsBeside:
             left = min(rough, key=lambda f: f.cost)
             if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
                 return []  # else it is most of what is missing
-        best = self.carried(jobs, rough, floor)
+        best = {**itself, **self.carried(jobs, rough, floor, rival)}
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
-        if not (rival or self.logs.exact) and not any(self.leaves_noise(state, names) for state, names in states):
+        if (
+            self.logs.anew
+            and not (rival or self.logs.exact)
+            and not any(self.leaves_noise(state, names) for state, names in states)
+        ):
             say("beside every effect more than noise is left: beginning anew with each of them")
             plain = self.screens[-1]
             others = fits_anew(plain.fit, self.ranked[-1], plain.records, s.finalists_in_windows)
@@ -113,25 +119,47 @@ class LogsBeside:
         self.taken = set(best)
         return list(best.values())
 
-    def carried(self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float) -> dict[str, tuple[Effect, State]]:
+    def completes(self, rival: State | None) -> dict[str, tuple[Effect, State]]:
+        """What a rival has more than this state, by name, as it stands there: whole runs have been carried to their
+        minimum with it.
+        """
+        if rival is None or not self.logs.exact:
+            return {}
+        more = [n for n in rival.fit.model.effects if n not in self.state.fit.model.effects]
+        return {more[0]: (effect(more[0]), rival)} if len(more) == 1 else {}
+
+    def carried(
+        self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float, rival: State | None = None
+    ) -> dict[str, tuple[Effect, State]]:
         """The best of rough fits carried to their minimum, by name."""
         s = self.logs.settings
-        kept = self.finalists(jobs, rough)
+        kept = self.finalists(jobs, rough, rival)
         finals = [i for ways in kept for i in ways]
-        carried = each(lambda i: carried_on(rough[i], jobs[i].records), finals)
+        fits = dict(zip(finals, each(lambda i: carried_on(rough[i], jobs[i].records), finals), strict=True))
         ahead = {id(jobs[i].records): np.inf for i in finals}
-        for i, found in zip(finals, carried, strict=True):
-            # Of two the worse may still come first by a threshold or a choice, but not beside one at the floor.
-            room = OPTIMISER.another_choice if found.rms <= s.finished * floor else s.hopeless
-            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], room * found.cost)
 
-        def thorough(one: tuple[int, Fit]) -> Fit:
-            i, found = one
-            if found.cost > ahead[id(jobs[i].records)]:
-                return found
-            return thorough_fit(found, jobs[i].score.effect, jobs[i].records, s.lost * floor)
+        def stands(i: int) -> None:
+            """Of two the worse may still come first by a threshold or a choice, but not beside one at the floor."""
+            room = OPTIMISER.another_choice if fits[i].rms <= s.finished * floor else s.hopeless
+            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], room * fits[i].cost)
 
-        fits = dict(zip(finals, each(thorough, list(zip(finals, carried, strict=True))), strict=True))
+        def thorough(i: int) -> Fit:
+            if fits[i].cost > ahead[id(jobs[i].records)]:
+                return fits[i]
+            # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
+            at_floor = any(f.rms <= s.finished * floor for f in fits.values())
+            return thorough_fit(
+                fits[i], jobs[i].score.effect, jobs[i].records, (s.finished if at_floor else s.lost) * floor
+            )
+
+        for i in finals:
+            stands(i)
+        if self.logs.exact and finals:  # the best may come to the floor by its thresholds, and then the others need not
+            best_one = min(finals, key=lambda i: fits[i].cost)
+            fits[best_one] = thorough(best_one)
+            stands(best_one)
+            finals = [i for i in finals if i != best_one]
+        fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
             return self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
@@ -190,8 +218,10 @@ class LogsBeside:
 
         return each(go_on, range(len(jobs)))
 
-    def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit]) -> list[list[int]]:
-        """Which are carried to their minimum: of each name the best of each screen."""
+    def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit], rival: State | None = None) -> list[list[int]]:
+        """Which are carried to their minimum: of each name the best of each screen. Of whole runs those that come near
+        a ``rival``.
+        """
         s, windows = self.logs.settings, not self.logs.exact
         bases = [job.base for job in jobs]
         gains = [b.samples * float(np.log(b.cost / max(f.cost, 1e-300))) for b, f in zip(bases, rough, strict=True)]
@@ -201,8 +231,9 @@ class LogsBeside:
         kept: dict[str, dict[int, int]] = {}
         for i in (i for rank in zip_longest(*sides) for i in rank if i is not None):
             name, way = jobs[i].name, id(jobs[i].records)
-            best_gain = max(gains[k] for k in order if id(jobs[k].records) == way)
-            near = gains[i] >= best_gain - jobs[i].base.samples * np.log(s.hopeless)
+            least = min(rough[k].cost for k in order if id(jobs[k].records) == way)
+            least = least if windows or rival is None else min(least, rival.fit.cost)
+            near = rough[i].cost <= s.hopeless * least
             room = len(kept) < (s.finalists_in_windows if windows else s.finalists)
             if name in kept or (near and (room or (windows and jobs[i].score.effect.everywhere))):
                 kept.setdefault(name, {}).setdefault(way, i)
