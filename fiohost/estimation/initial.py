@@ -253,12 +253,11 @@ def _bottom(cost: Callable[[float], float], low: float, high: float) -> float:
 def _in_windows(
     record: Record, flat: Flat, start: Start, y: np.ndarray, every: int = WARMTH_EVERY
 ) -> Callable[[float], float]:
-    """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth; windows that are a
-    part of those looked at are taken as they are, as the noise of all does not weigh them.
+    """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth; all that are
+    looked at where their noise weighs them, as it weighs them together.
     """
-    every = min(every, len(record.windows) - 1)
-    if every > record.every:
-        record = replace(record, every=every, disturbance=None)
+    if record.disturbance is None or record.disturbance.whitener is None:
+        record = replace(record, every=max(record.every, min(every, len(record.windows) - 1)))
 
     def cost(warmth: float) -> float:
         return squared([errors(record, flat, start._replace(warmth=warmth), True, y)])
