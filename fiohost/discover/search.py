@@ -226,9 +226,7 @@ class Search(Generic[J]):
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        # What completes the rival of whole runs is that rival, which has been carried to its minimum.
-        itself = rival.names if rival and self.evidence.exact else frozenset()
-        for c in [c for c in accepted if c.name not in itself][: self.settings.beam]:
+        for c in accepted[: self.settings.beam]:
             yield self.grown(node, c, accepted, null.of(c.name))
 
     def asked(self, child: Child, null: Null) -> float:

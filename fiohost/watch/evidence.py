@@ -79,10 +79,10 @@ def evidence(
     columns = [*drifting(model, around), *(column for c in candidates for column in c.columns)]
     by = np.column_stack([tangent.by(Flat.of(c.model), start, c.step) for c in columns])
     times, found = record.excitation.times_s, []
-    for a, b in zip(record.windows[:-1].tolist(), record.windows[1:].tolist(), strict=True):
+    for a, b, at in zip(*(ends.tolist() for ends in (*record.looked_at, record.edges[:-1])), strict=True):
         if times[b - 1] - times[a] < 0.5 or b - a < 8:
             continue  # too short to say anything beside its own start
-        white = whitening.apply(times[a:b], np.column_stack((residual[a:b], by[a:b])))
+        white = whitening.apply(times[a:b], np.column_stack((residual, by))[at : at + b - a])
         left, slopes = white[:, 0], white[:, 1:]
         begin, end = offset_s + float(times[a]), offset_s + float(times[b - 1]) + record.sample_time_s
         found.append(
