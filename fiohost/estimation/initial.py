@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import gcd
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from fiohost.estimation.predict import Flat, errors, fitted_windows, squared
+from fiohost.estimation.predict import Flat, errors, fitted_windows, some_windows, squared
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.simulate import Start, start_state
 from fiohost.motor.state import GAP, SHARE, SMALLEST_SHARE
@@ -253,14 +252,11 @@ def _bottom(cost: Callable[[float], float], low: float, high: float) -> float:
 def _in_windows(
     record: Record, flat: Flat, start: Start, y: np.ndarray, every: int = WARMTH_EVERY
 ) -> Callable[[float], float]:
-    """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth; all that are
-    looked at where their noise weighs them, as it weighs them together.
-    """
-    if record.disturbance is None or record.disturbance.whitener is None:
-        record = replace(record, every=max(record.every, min(every, len(record.windows) - 1)))
+    """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth."""
+    every = min(every, len(record.windows) - 1)
 
     def cost(warmth: float) -> float:
-        return squared([errors(record, flat, start._replace(warmth=warmth), True, y)])
+        return squared([some_windows(record, every, flat, start._replace(warmth=warmth), y)])
 
     return cost
 

@@ -279,6 +279,18 @@ def windowed(
     return _as_fitted(record, residuals), begun
 
 
+def some_windows(record: Record, every: int, flat: Flat, start: Start, y: np.ndarray) -> np.ndarray:
+    """``windowed`` of output ``y`` (n) in ``every`` so many of a record's windows, as the noise of all weighs them; in
+    the others nothing is left.
+    """
+    flat, part = of_run(record, flat, start), replace(record, every=max(record.every, every))
+    left, _ = _from_bases(part, flat, window_states(part, flat, start), y)
+    there = np.isin(record.looked_at[0], part.looked_at[0])
+    residuals = np.zeros(record.edges[-1])
+    residuals[np.repeat(there, np.diff(record.edges))] = left
+    return _as_fitted(record, residuals)
+
+
 def _as_fitted(record: Record, residuals: np.ndarray) -> np.ndarray:
     return record.disturbance.residuals(residuals) if record.disturbance else residuals
 
