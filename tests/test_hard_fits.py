@@ -19,10 +19,10 @@ from fiohost.discover.ladder import in_sequence
 from fiohost.discover.moments import fit_event
 from fiohost.discover.objective import WholeRuns
 from fiohost.discover.optimise import begun as begun_fits
-from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
+from fiohost.discover.optimise import carried_on, cost_of, gone_on, thorough_fit, unstuck
 from fiohost.discover.refit import Job
 from fiohost.discover.result import to_json
-from fiohost.discover.screen import Score, Screen
+from fiohost.discover.screen import Screen
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
@@ -322,19 +322,20 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
     rival = runs.settled(fit(full.with_values(dict(without.fit.model.values)), records))
     fitted: list[str] = []
 
-    def counted(base: Fit, score: Score, logs: Sequence[Record]) -> list[Fit]:
-        fitted.append(score.effect.name)
-        return begun_fits(base, score, logs)
+    def counted(rough: Fit, logs: Sequence[Record]) -> Fit:
+        fitted.append(rough.model.effects[-1])
+        return carried_on(rough, logs)
 
-    monkeypatch.setattr(refit, "begun", counted)
+    monkeypatch.setattr(refit, "carried_on", counted)
     offered = [effects()[n] for n in ("gravity_load", "cogging_torque", "position_dependent_friction")]
     beside = runs.beside(without)
     alone = dict((e.name, s) for e, s in beside.refitted(offered, lambda text: None))
     assert "gravity_load" in fitted
     assert alone["gravity_load"].fit.rms == pytest.approx(rival.fit.rms, rel=0.05)
     fitted.clear()
-    beside.refitted(offered, lambda text: None, rival=rival)
-    assert fitted
+    jobs, floor = beside.worth(), runs.floor_rms(without)
+    again = beside.carried(jobs, beside.rough(jobs, floor), floor, rival)
+    assert again["gravity_load"][1] is rival
     assert "gravity_load" not in fitted
 
 

@@ -41,6 +41,10 @@ class PlainWindows(Windows):
     def as_they_are(self, state: State) -> Fit:
         return state.fit
 
+    def plainly(self, before: State, after: State, names: Sequence[str]) -> bool:
+        # Whatever takes enough may lead on: beside what is missing left-out blocks scatter, and whole runs decide.
+        return self.immaterial(before, after) is None and self.degenerate(after, names) is None
+
     def no_noise(self, state: State) -> bool:
         return False
 

@@ -18,7 +18,7 @@ from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
-from fiohost.motor.effect import Effect, effect
+from fiohost.motor.effect import Effect
 from fiohost.workers import each
 
 
@@ -82,10 +82,7 @@ class LogsBeside:
         # The null asks for the directions of the first screen.
         self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
         s, floor = self.logs.settings, self.logs.floor_rms(self.state)
-        itself = self.completes(rival)
-        jobs = [job for job in self.worth() if job.name not in itself]
-        if not jobs:
-            return []
+        jobs = self.worth()
         say(f"refitting {len({job.name for job in jobs})} of them")
         rough = self.rough(jobs, floor, rival)
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
@@ -102,7 +99,7 @@ class LogsBeside:
             left = min(rough, key=lambda f: f.cost)
             if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
                 return []  # else it is most of what is missing
-        best = {**itself, **self.carried(jobs, rough, floor, rival)}
+        best = self.carried(jobs, rough, floor, rival)
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
         if (
             self.logs.anew
@@ -119,23 +116,25 @@ class LogsBeside:
         self.taken = set(best)
         return list(best.values())
 
-    def completes(self, rival: State | None) -> dict[str, tuple[Effect, State]]:
-        """What a rival has more than this state, by name, as it stands there: whole runs have been carried to their
-        minimum with it.
-        """
+    def completed(self, rival: State | None, name: str) -> State | None:
+        """The rival, where it is this state with a name more: whole runs have been carried to their minimum with it."""
         if rival is None or not self.logs.exact:
-            return {}
-        more = [n for n in rival.fit.model.effects if n not in self.state.fit.model.effects]
-        return {more[0]: (effect(more[0]), rival)} if len(more) == 1 else {}
+            return None
+        return rival if {*self.state.fit.model.effects, name} == {*rival.fit.model.effects} else None
 
     def carried(
         self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float, rival: State | None = None
     ) -> dict[str, tuple[Effect, State]]:
-        """The best of rough fits carried to their minimum, by name."""
+        """The best of rough fits carried to their minimum, by name; a ``rival`` stands there already."""
         s = self.logs.settings
-        kept = self.finalists(jobs, rough, rival)
+        kept = self.finalists(jobs, rough)
         finals = [i for ways in kept for i in ways]
-        fits = dict(zip(finals, each(lambda i: carried_on(rough[i], jobs[i].records), finals), strict=True))
+        there = {i: state for i in finals if (state := self.completed(rival, jobs[i].name))}
+
+        def carried(i: int) -> Fit:
+            return there[i].fit if i in there else carried_on(rough[i], jobs[i].records)
+
+        fits = dict(zip(finals, each(carried, finals), strict=True))
         ahead = {id(jobs[i].records): np.inf for i in finals}
 
         def stands(i: int) -> None:
@@ -144,7 +143,7 @@ class LogsBeside:
             ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], room * fits[i].cost)
 
         def thorough(i: int) -> Fit:
-            if fits[i].cost > ahead[id(jobs[i].records)]:
+            if i in there or fits[i].cost > ahead[id(jobs[i].records)]:
                 return fits[i]
             # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
             at_floor = any(f.rms <= s.finished * floor for f in fits.values())
@@ -162,7 +161,9 @@ class LogsBeside:
         fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
-            return self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+            return (
+                there[i] if i in there else self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+            )
 
         def apart(ways: Sequence[int]) -> Sequence[int]:
             """Of two ways that came to the same, the first."""
@@ -218,10 +219,8 @@ class LogsBeside:
 
         return each(go_on, range(len(jobs)))
 
-    def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit], rival: State | None = None) -> list[list[int]]:
-        """Which are carried to their minimum: of each name the best of each screen. Of whole runs those that come near
-        a ``rival``.
-        """
+    def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit]) -> list[list[int]]:
+        """Which are carried to their minimum: of each name the best of each screen."""
         s, windows = self.logs.settings, not self.logs.exact
         bases = [job.base for job in jobs]
         gains = [b.samples * float(np.log(b.cost / max(f.cost, 1e-300))) for b, f in zip(bases, rough, strict=True)]
@@ -232,7 +231,6 @@ class LogsBeside:
         for i in (i for rank in zip_longest(*sides) for i in rank if i is not None):
             name, way = jobs[i].name, id(jobs[i].records)
             least = min(rough[k].cost for k in order if id(jobs[k].records) == way)
-            least = least if windows or rival is None else min(least, rival.fit.cost)
             near = rough[i].cost <= s.hopeless * least
             room = len(kept) < (s.finalists_in_windows if windows else s.finalists)
             if name in kept or (near and (room or (windows and jobs[i].score.effect.everywhere))):
