@@ -24,15 +24,20 @@ def position_labs() -> None:
     """The pictures of the deadband, precompensation, identification and design pages."""
     with connect("sim:sealed", seed=SEED) as bench:
         uneven = measure_deadband(bench, 2, angles=6)
-    save_figure(plot_deadband(uneven, "a board with a weight"), FOLDER / "lab_deadband.png")
+    picture_of_deadband = FOLDER / "lab_deadband.png"
+    picture_of_deadband.unlink(missing_ok=True)  # made anew here, where the commands overwrite nothing unasked
+    save_figure(plot_deadband(uneven, "a board with a weight"), picture_of_deadband)
     drawn = {}
     with tempfile.TemporaryDirectory() as name:
+        folders = [Path(name) / lab for lab in ("precompensation", "identification", "design")]
+        for folder in folders:
+            folder.mkdir()
         with connect("sim") as bench:
-            drawn |= precompensation(bench, Path(name))[0].figures
+            drawn |= precompensation(bench, folders[0])[0].figures
         with connect("sim") as bench:
-            drawn |= identification(bench, Path(name)).figures
+            drawn |= identification(bench, folders[1]).figures
         with connect("sim") as bench:
-            drawn["design"] = design_lab(bench, Path(name)).figures["design_90_270"]
+            drawn["design"] = design_lab(bench, folders[2]).figures["design_90_270"]
         for picture, draw in drawn.items():
             draw().savefig(FOLDER / f"lab_{picture}.png", dpi=90)
 

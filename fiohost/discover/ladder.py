@@ -78,14 +78,14 @@ def searched(
     def enough(node: Node) -> bool:
         return exact and whole.explains(as_whole_runs(node))
 
-    def led(seen: Node) -> Node | None:
-        """What explains whole runs from where windows led, or None."""
+    def led(seen: Node, further: bool = True) -> Node | None:
+        """What explains whole runs from where windows led, with ``further`` effects added there or without, or None."""
         again = as_whole_runs(seen)
         if not whole.explains(again):
             again = Node(runs.finished(again.state), seen.added)
         if whole.explains(again):
             again = whole.exchanged(again, root=None if runs.only_counts(again.state) else root)
-        else:
+        elif further:
             again = whole.run(again)
         return again if whole.explains(again) else None
 
@@ -104,9 +104,12 @@ def searched(
             return timed
         say("whole runs stay unexplained: windows of 1 s")
         plain = PlainWindows(train, np.random.default_rng(NOISE_SEED))
-        rough = Search(plain, shown, say, tolerance_pct=tolerance_pct, enough=enough)
+        # Where two names do not lead whole runs to the data, noise is asked for before more are.
+        rough = Search(
+            plain, shown, say, tolerance_pct=tolerance_pct, enough=enough, in_vain=lambda n: len(n.added) > 1
+        )
         seen = rough.run(rough.declared(model, from_file))
-        if seen.added and (best := led(seen)):
+        if seen.added and (best := led(seen, further=False)):
             return whole.found(root, best)
         if not pushed(seen.state.fit.model):
             begun_anew = True
