@@ -52,6 +52,12 @@ class State:
         return 1.0 if self.noise else self.fit.cost / max(self.fit.samples, 1.0)
 
 
+def deviance_of(fitted: Fit) -> float:
+    """-2 log likelihood of a fit whose errors are alike and of a size that it leaves itself, but for a constant."""
+    n = max(fitted.samples, 1.0)
+    return n * float(np.log(max(fitted.cost / n, 1e-300)))
+
+
 class Judged(Protocol):
     """A fitted model beside the floor that its data could reach: its error there, whether it follows the data as
     closely as they can tell, and the error as a share of what there is to explain.

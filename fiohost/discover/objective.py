@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from fiohost.discover.degenerate import core_lost
-from fiohost.discover.evidence import Evidence, State
+from fiohost.discover.evidence import Evidence, State, deviance_of
 from fiohost.discover.folds import folds
 from fiohost.discover.null import draw_null
 from fiohost.discover.optimise import again, polish, searched_again, unstuck
@@ -121,8 +121,7 @@ class WholeRuns(Logs):
     """Free runs of whole records: counts are all that a true model leaves."""
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        n = max(fitted.samples, 1.0)
-        return State(fitted, n * float(np.log(max(fitted.cost / n, 1e-300))), tuple(self.records))
+        return State(fitted, deviance_of(fitted), tuple(self.records))
 
     def screens(self, state: State) -> list[Screen]:
         return [Screen(state.fit, self.records)]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fiohost.discover.evidence import State
+from fiohost.discover.evidence import State, deviance_of
 from fiohost.discover.objective import Windows
 from fiohost.discover.screen import Screen
 from fiohost.estimation.fit import Fit
@@ -26,8 +26,7 @@ class PlainWindows(Windows):
         self.anew = False  # whole runs are begun anew themselves
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        n = max(fitted.samples, 1.0)
-        return State(fitted, n * float(np.log(max(fitted.cost / n, 1e-300))), tuple(self.plain))
+        return State(fitted, deviance_of(fitted), tuple(self.plain))
 
     def screens(self, state: State) -> list[Screen]:
         return [Screen(state.fit, self.plain)]
