@@ -166,6 +166,16 @@ def test_neither_interval_beside_a_doubtful_reading_counts(doubt: str) -> None:
     assert made._seconds == 31 * TICK_S
 
 
+def test_a_board_that_makes_up_for_a_pause_of_this_computer_is_no_faster_board() -> None:
+    made, time_s = Rate("board", PROFILE), 1.0
+    for k in range(400):
+        since = (k + 31) % 40  # a pause of 16 steps, made up for by the next 30, each at half its time
+        time_s += TICK_S * (16.0 if since == 0 else 0.5 if since <= 30 else 1.0)
+        made.note(time_s, k, host_was_late=since == 0)
+    assert made.is_right() is True
+    assert made._seconds == made._steps * TICK_S
+
+
 # ---- a board that comes back ---------------------------------------------------------------------------------------
 
 

@@ -18,6 +18,7 @@ from boards import HANG_S, until
 from click.testing import CliRunner
 from lines import BRAKE, PtyBoard, patient
 
+from fiohost.bench import connect
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench, Tick
 from fiohost.bench.stop import Stopped
@@ -249,7 +250,7 @@ def test_a_board_that_comes_back_is_braked_first_of_all(tmp_path: Path) -> None:
 
 
 def test_the_command_line_waits_for_a_board_and_says_what_came_of_it(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link = str(tmp_path / "board")
     boards: list[PtyBoard] = []
@@ -261,6 +262,7 @@ def test_the_command_line_waits_for_a_board_and_says_what_came_of_it(
         return packet
 
     boards.append(PtyBoard(link, once_driven=mangle))
+    monkeypatch.setattr(connect, "MonotonicClock", boards[0].clock)
     arguments = ["manual", "--pwm", "40", "--target", f"serial:{link}", "--reconnect", f"{HANG_S:g}", "--json", "-"]
     arguments += ["--guard", "gap_s=20", "--guard", "late_pct=100", "--guard", "silence_s=10"]
     answer = CliRunner().invoke(cli, arguments)

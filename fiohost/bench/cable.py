@@ -57,25 +57,33 @@ class Rate:
 
     def __init__(self, name: str, profile: TargetProfile) -> None:
         self._name, self._profile = name, profile
-        self._last: tuple[float, int] | None = None  # None: the next interval says nothing
+        self._last: tuple[float, int] | None = None
+        self._doubtful = True  # the last reading: the next interval says nothing
         self._seconds, self._steps, self._late = 0.0, 0, 0
+        self._owed_s = 0.0  # by so much reports may yet come too soon: what was late is made up for
 
     def note(self, time_s: float, step: int, *, host_was_late: bool = False, is_guess: bool = False) -> None:
         """A reading came, of that step of the board. Where this computer was late, or the step is a guess of the clock,
-        neither the interval before nor the one after it says anything of the board.
+        neither the interval before nor the one after it says anything of the board; nor do those that follow and are
+        short, until together they are as much too short as a late one was too long.
         """
         self._late += host_was_late
-        says_nothing = host_was_late or is_guess
-        if self._last is not None and not says_nothing:
-            self._seconds += time_s - self._last[0]
-            self._steps += step - self._last[1]
-        self._last = None if says_nothing else (time_s, step)
+        doubtful = host_was_late or is_guess
+        if self._last is not None:
+            seconds, steps = time_s - self._last[0], step - self._last[1]
+            over_s = seconds - steps * self._profile.sample_time_s
+            if host_was_late or over_s < 0.0 < self._owed_s:
+                self._owed_s = max(0.0, self._owed_s + over_s)
+            elif not (doubtful or self._doubtful):
+                self._seconds += seconds
+                self._steps += steps
+        self._last, self._doubtful = (time_s, step), doubtful
 
     def is_right(self) -> bool:
         """True also where nothing was noted; False to look longer. Raises TransportError for another rate."""
         steps = self._steps
         if steps == 0:
-            return self._last is None
+            return self._doubtful
         step_s, wanted_s = self._seconds / steps, self._profile.sample_time_s
         if abs(step_s / wanted_s - 1.0) <= RATE_TOLERANCE:
             return True
