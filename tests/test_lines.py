@@ -39,6 +39,16 @@ def test_a_line_of_the_clock_is_found_among_coloured_noise_by_the_time_of_all_re
     assert clock_lines(parts)[0] == pytest.approx(1.5625, abs=0.003)  # a tenth of what one record tells apart
 
 
+def test_a_gain_that_swings_has_its_line_in_what_is_left_as_a_share_of_the_command() -> None:
+    rng = np.random.default_rng(4)
+    times = np.arange(round(SECONDS / STEP_S)) * STEP_S
+    duty = levels(rng)
+    left = coloured(rng) + 0.05 * np.sin(2.0 * np.pi * 1.5625 * times + 1.0) * duty
+    parts = [Series(left, duty, STEP_S, 0.0)]
+    assert clock_lines([Series(left, np.full(len(left), 50.0), STEP_S, 0.0)]) == []  # not in itself
+    assert clock_lines(parts)[0] == pytest.approx(1.5625, abs=0.02)
+
+
 def test_noise_alone_seldom_has_a_line() -> None:
     rng = np.random.default_rng(2)
     found = [clock_lines([Series(coloured(rng), levels(rng), STEP_S, 0.0)]) for _ in range(100)]

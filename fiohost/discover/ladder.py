@@ -111,7 +111,9 @@ def searched(
         seen = rough.run(rough.declared(model, from_file))
         if seen.added and (best := led(seen, further=False)):
             return whole.found(root, best)
-        if not pushed(seen.state.fit.model):
+        # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
+        # asked for.
+        if rough.white(seen) or not (seen.added or pushed(seen.state.fit.model)):
             begun_anew = True
             if anew := far():
                 return anew

@@ -9,7 +9,7 @@ command repeats itself says nothing at its harmonics.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -30,9 +30,27 @@ class Series:
     step_s: float
     clock_s: float
 
+    @property
+    def by_command(self) -> Series:
+        """The same as a share of the command, which a gain that swings leaves a line in."""
+        rms = float(np.sqrt(np.mean(self.duty_pct**2)))
+        return replace(self, left=self.left * self.duty_pct / rms) if rms > 0.0 else self
+
 
 def clock_lines(parts: Sequence[Series]) -> list[float]:
-    """Frequencies in Hz, the strongest first, of lines in what is left of records and not in their commands."""
+    """Frequencies in Hz of lines in what is left of records and not in their commands: the strongest first of a torque,
+    then those that only a gain shows.
+    """
+    longest = max(len(p.left) * p.step_s for p in parts)
+    found = _lines(parts)
+    return found + [
+        line
+        for line in _lines([p.by_command for p in parts])
+        if all(abs(line - other) > LINES.same / longest for other in found)
+    ]
+
+
+def _lines(parts: Sequence[Series]) -> list[float]:
     longest = max(len(p.left) * p.step_s for p in parts)
     nyquist = min(0.5 / p.step_s for p in parts)
     grid = np.arange(LINES.finer * LINES.periods, LINES.finer * longest * nyquist) / (LINES.finer * longest)
@@ -97,7 +115,7 @@ def _over_background(series: np.ndarray, step_s: float, grid_hz: np.ndarray) -> 
     power = np.abs(np.fft.rfft(tapered, size)) ** 2
     at = np.interp(grid_hz, np.fft.rfftfreq(size, step_s), power)
     reach = 2 * max(LINES.around * round(1.0 / (n * step_s * (grid_hz[1] - grid_hz[0]))), LINES.around) + 1
-    background = median_filter(at, size=reach, mode="nearest") / gammaincinv(1.0, 0.5)
+    background = median_filter(at, size=reach, mode="mirror") / gammaincinv(1.0, 0.5)
     return np.asarray(at / np.maximum(background, 1e-12 * float(at.max()) + 1e-300))
 
 

@@ -47,11 +47,15 @@ def _mean(draws: Sequence[Errors]) -> Errors:
 def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
     """The model that a fit to a replica would give, by one step: ``noises`` are the replica's residuals, one a record.
 
-    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. A moment stays:
-    it was searched, and its derivative says nothing of how far off it is.
+    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. What was
+    searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is.
     """
     parameters = [fitted.model.parameter(name) for name in fitted.names]
-    followed = [i for i, q in enumerate(parameters) if not (q.ragged and q.neutral is None)]
+    followed = [
+        i
+        for i, (name, q) in enumerate(zip(fitted.names, parameters, strict=True))
+        if not (q.ragged and q.neutral is None) and q.lower < fitted.model.number(name) < q.upper
+    ]
     if not followed:
         return fitted.model
     columns = [c[:, followed] for c in fitted.jacobians]

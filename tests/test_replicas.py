@@ -1,0 +1,26 @@
+"""Replicas: what a model would be fitted to, had it been true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fiohost.estimation.fit import Fit
+from fiohost.judging.floor import refitted
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+
+
+def test_what_is_at_its_bound_stays_there_in_what_a_replica_would_be_fitted_to() -> None:
+    """Its derivative there is next to nothing; one step by it would go to the other end."""
+    values = {"gap_deg": 3.0, "side": "encoder_after_gap", "load_inertia_ratio": 0.0}
+    model = Model((), {"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.08}).with_effect("backlash", values)
+    names = ("linear.gain_deg_s_per_pct", "backlash.gap_deg", "backlash.load_inertia_ratio")
+    columns = np.random.default_rng(1).standard_normal((400, 3)) * [1.0, 1.0, 1e-3]
+    noise = 0.1 * columns[:, 0] + 0.05 * columns[:, 1] + 0.5 * columns[:, 2]
+    none = np.empty((400, 0))
+    fitted = Fit(model, names, 1.0, (noise,), (columns,), (none,), (Start(0.0, 0.0),), True, 400.0)
+    again = refitted(fitted, [noise])
+    assert again.number("backlash.load_inertia_ratio") == 0.0
+    assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=1e-3)
+    assert again.number("backlash.gap_deg") == pytest.approx(3.05, abs=1e-3)
