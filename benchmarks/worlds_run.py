@@ -89,13 +89,13 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
     import numpy as np
 
     from fiohost.discover.null import draw_null
-    from fiohost.discover.objective import Windows
     from fiohost.discover.screen import Screen, candidates, span_of
+    from fiohost.discover.weighed import WeighedWindows
     from fiohost.estimation.fit import fit, fit_from_scratch
     from fiohost.estimation.record import record_from_log
     from fiohost.motor.model import Model
 
-    windows = Windows([record_from_log(log) for log in train])
+    windows = WeighedWindows([record_from_log(log) for log in train])
     without = windows.settled(fit_from_scratch(Model.parse(DECLARED), windows.records, windows=True))
     model = without.fit.model
     for name in case.truth:

@@ -16,8 +16,8 @@ from fiohost.bench import rows as rows_module
 from fiohost.bench.log import Log
 from fiohost.bench.unwrap import ambiguous_steps
 from fiohost.discover.movement import movement
-from fiohost.discover.objective import Windows
 from fiohost.discover.refit import Job, ranked
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.discover.whitened import with_noise
 from fiohost.errors import LogError
 from fiohost.estimation.fit import fit
@@ -118,7 +118,7 @@ def test_a_floor_keeps_no_arrays_of_its_replicas() -> None:
 def test_a_rough_fit_and_what_the_null_does_not_ask_for_keep_no_arrays() -> None:
     rng = np.random.default_rng(1)
     records = [measure(truth_model(("coulomb_friction",)), steps(16.0, rng), rng)]
-    windows = Windows(records)
+    windows = WeighedWindows(records)
     root = windows.declared(Model(), False)
     beside = windows.beside(root)
     screen, other = beside.screens

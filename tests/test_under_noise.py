@@ -10,9 +10,9 @@ from bench_data import suite, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.movement import at_rest, movement, standing
-from fiohost.discover.objective import Windows
 from fiohost.discover.result import to_json
 from fiohost.discover.settings import SETTINGS
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.discover.whitened import with_noise
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.intervals import estimates
@@ -158,7 +158,7 @@ def test_windows_of_long_records_are_looked_at_in_step_with_nothing() -> None:
     truth = Model(values={"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.1})
     bare = make_record("long", times, duty, np.zeros(n), quantum=0.5, at_rest=True)
     angle = free_output(bare, Flat.of(truth), Start(0.0, 0.0)) + 0.5 * rng.standard_normal(n)
-    windows = Windows([make_record("long", times, duty, angle, quantum=0.5, at_rest=True)])
+    windows = WeighedWindows([make_record("long", times, duty, angle, quantum=0.5, at_rest=True)])
     firsts = np.concatenate([r.looked_at[0] * STEP_S + r.excitation.clock_s for r in windows.plain])
     assert 0.8 * SETTINGS.most_windows <= len(firsts) <= SETTINGS.most_windows + len(windows.plain)
     halves = np.bincount((firsts % 2.0 >= 1.0).astype(int), minlength=2)
@@ -199,12 +199,12 @@ def test_a_true_model_leaves_white_windows_where_a_torque_turns_or_holds_the_sha
 
 def test_where_the_sensor_s_counts_are_all_that_is_left_the_floor_decides(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rounding is no noise: how white it looks hangs on a tenth of a count, which no whole run is asked for either."""
-    monkeypatch.setattr(Windows, "_looks_white", lambda self, state: False)
+    monkeypatch.setattr(WeighedWindows, "_looks_white", lambda self, state: False)
     truth, rng = truth_model(), np.random.default_rng(3)
     exact = suite(truth, 3)
     shaky = [replace(r, y=r.y + r.quantum * np.round(2.0 * rng.standard_normal(len(r)))) for r in exact]
     for records, counts in ((exact, True), (shaky, False)):
-        windows = Windows(records)
+        windows = WeighedWindows(records)
         state = windows.settled(fit(truth, windows.records, windows=True))
         assert state.noise is not None
         assert state.noise.only_counts is counts

@@ -10,11 +10,11 @@ import numpy as np
 
 from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
 from fiohost.discover.candidate import Progress
-from fiohost.discover.objective import WholeRuns, Windows
+from fiohost.discover.objective import PlainWindows, WholeRuns
 from fiohost.discover.optimise import chosen_again
-from fiohost.discover.plain import PlainWindows
 from fiohost.discover.search import Node, Search
 from fiohost.discover.step import Found
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.discover.whitened import drawing, noise_of
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
@@ -43,11 +43,11 @@ def searched(
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    windows = Windows(train, np.random.default_rng(NOISE_SEED))
+    windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
 
     def pushed(model: Model) -> bool:
         """Whether all that a model leaves in windows is a random torque: no whole run can be followed then."""
-        probe = Windows(train, np.random.default_rng(NOISE_SEED))
+        probe = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
         found = probe.settled(fit(model, probe.plain, windows=True, max_iterations=12))
         return found.noise is not None and found.noise.torque_known and probe.white(found)
 
@@ -130,7 +130,7 @@ def searched(
     return found
 
 
-def _plainly_fitted(found: Found[Stage], windows: Windows, rng: np.random.Generator) -> Found[Stage]:
+def _plainly_fitted(found: Found[Stage], windows: WeighedWindows, rng: np.random.Generator) -> Found[Stage]:
     """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
     where all that is left is what they are made of. Their own data err by what they leave so.
 
@@ -162,7 +162,7 @@ def _plainly_fitted(found: Found[Stage], windows: Windows, rng: np.random.Genera
     return replace(found, stages=tuple(stages), steps=tuple(steps), taken=taken)
 
 
-def _left_by(fitted: Fit, windows: Windows, noise: Noise) -> Noise:
+def _left_by(fitted: Fit, windows: WeighedWindows, noise: Noise) -> Noise:
     """The noise that a fit to windows as they are leaves, runs differing as they were found to."""
     return replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=noise.runs)
 

@@ -2,7 +2,7 @@
 
 A motor that repeats itself to the count is fitted in whole runs: there the counts are all that a true model leaves. One
 that does not is fitted in one-second windows, each with its own angle and speed, weighed by the covariance of the noise
-that is left. Both give a deviance, -2 log likelihood but for a constant, and everything else works on that.
+that is left (``weighed``). Each gives a deviance, -2 log likelihood but for a constant, and all else works on that.
 """
 
 from __future__ import annotations
@@ -16,20 +16,17 @@ import numpy as np
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State, deviance_of
 from fiohost.discover.folds import folds
-from fiohost.discover.null import draw_null
 from fiohost.discover.optimise import again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Screen
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.whitened import drawing, plain, settle, with_noise, with_scatter
-from fiohost.estimation.fit import Fit, fit, fit_from_scratch
+from fiohost.discover.whitened import drawing, plain
+from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
-from fiohost.judging.missing_torque import dependences, ruled
+from fiohost.judging.missing_torque import dependences
 from fiohost.judging.stage import Stage, judged
 from fiohost.motor.model import Model
-from fiohost.noise.runs import NO_SCATTER, run_of, varied
-from fiohost.noise.whiten import is_white, unevenness
 
 
 class Logs(Evidence[Stage]):
@@ -156,61 +153,38 @@ class WholeRuns(Logs):
         return self.stage(before).left_of(after.fit, group) <= self.settings.finished
 
 
-class Windows(Logs):
-    """One-second windows whitened by the noise that a structure leaves itself; ``plain`` are they as they are."""
+class PlainWindows(Logs):
+    """One-second windows weighed alike, their angles and speeds free.
+
+    Where two effects are missing no one of them brings whole runs near the data, and gradients lead nowhere. Windows
+    are nearly convex and say which leaves less. Nothing that they say is believed before whole runs follow it, so that
+    no noise need be known: counts are all that a true model leaves.
+    """
 
     exact = False
 
-    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None) -> None:
-        super().__init__(train, rng, anew=True)
+    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None, anew: bool = False) -> None:
+        super().__init__(train, rng, anew)
         every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)
-        # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
-        self._stands: list[np.ndarray] | None = None
-        self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
-        self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
 
     @property
     def margin(self) -> float:
         return self.settings.margin_in_windows
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        found = settle(fitted, self.records, self._stands, bare_first=not whitened)
-        self._stands = [m.stands for m in found.moving]
-        return State(found.fit, found.deviance, found.records, found.noise, found.moving, found.bare)
+        return State(fitted, deviance_of(fitted), tuple(self.plain))
 
     def screens(self, state: State) -> list[Screen]:
-        # Where much is missing the noise takes up what an effect would explain: windows as they are are asked too.
-        bare = Screen(self._fitted(state.fit, self.plain), self.plain)
-        return [Screen(state.fit, state.records, bare.span.lines_hz), bare]
+        return [Screen(state.fit, self.plain)]
 
     def floor_rms(self, state: State) -> float:
         return float("inf")
 
-    def under(self, state: State, other: State) -> Fit:
-        return self._fitted(state.fit, other.records)
-
-    def chance(self, state: State, best: State) -> State:
-        assert best.noise is not None
-        records = with_noise(self.plain, state.fit.model, best.noise, state.moving)
-        if best.noise.runs.known:
-            records = with_scatter(state.fit, records, best.noise)
-        return State(self._fitted(state.fit, records), state.deviance, records, best.noise, state.moving)
-
-    @staticmethod
-    def _fitted(found: Fit, records: Sequence[Record]) -> Fit:
-        return fit(
-            found.model, records, windows=True, starts=found.starts, max_iterations=12, tolerance=1e-5, zeros=False
-        )
-
     def as_they_are(self, state: State) -> Fit:
         """A state's model fitted to windows as they are."""
-        if state not in self._as_they_are:
-            near = state.bare or state.fit
-            found = fit(near.model, self.plain, windows=True, starts=near.starts, max_iterations=20, tolerance=1e-4)
-            self._as_they_are[state] = found
-        return self._as_they_are[state]
+        return state.fit
 
     def taken(self, before: State, after: State) -> float:
         """The share of the squared error of windows as they are that one state takes of another's."""
@@ -223,54 +197,11 @@ class Windows(Logs):
         return f"removes {100 * max(taken, 0.0):.0f} % of what windows leave"
 
     def plainly(self, before: State, after: State, names: Sequence[str]) -> bool:
-        """Whether windows as they are speak for a candidate, whatever weights say: where much is missing the noise
-        takes up what an effect explains, and what is slow in it most of all.
-        """
-        if self.taken(before, after) < self.settings.least_of_rest:
-            return False
-        without, found = self.as_they_are(before), self.as_they_are(after)
-        if any(objection(found, n) for n in names) or core_lost(found):
-            return False
-        variance = found.cost / max(found.samples, 1.0)
-        blocks = (left_out(f, variance, self.plain, self.groups) for f in (without, found))
-        gain = Gain.of(next(blocks), next(blocks), self.settings)
-        return gain.sure(self.settings) and not gain.by_one
+        # Whatever takes enough may lead on: beside what is missing left-out blocks scatter, and whole runs decide.
+        return self.immaterial(before, after) is None and self.degenerate(after, names) is None
 
     def _nothing_left(self, before: State, after: State, group: Sequence[int]) -> bool:
         return self.white(after)
-
-    def white(self, state: State) -> bool:
-        if self.no_noise(state):
-            return False
-        if state not in self._white:
-            # Counts are no noise: without any, what is at its floor is explained, here as in whole runs.
-            at_floor = state.noise is not None and state.noise.only_counts and self.stage(state).follows
-            self._white[state] = at_floor or self._looks_white(state)
-        return self._white[state]
-
-    def no_noise(self, state: State) -> bool:
-        return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct
-
-    def _looks_white(self, state: State) -> bool:
-        null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
-        uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
-        return is_white(uneven, null.unevenness) and not self._ruled(state)
-
-    @property
-    def most_torque_pct(self) -> float:
-        """A random torque of more than this is no noise."""
-        duty = np.concatenate([r.acting_pct for r in self.records])
-        return min(self.settings.most_torque_pct, self.settings.most_of_duty * float(np.sqrt(np.mean(duty**2))))
-
-    def _ruled(self, state: State) -> bool:
-        """Whether what a state lacks follows anything, each run with what is its own."""
-        assert state.noise is not None
-        stage, noise = self.stage(state), state.noise
-        by_run = [noise.runs.by_run.get(run_of(r.name), np.zeros(3)) for r in self.train]
-        own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
-        records = drawing(self.train, replace(noise, runs=NO_SCATTER))
-        starts, s = [j.start for j in stage.judgements], self.settings
-        return ruled(records, own, estimates, starts, self.rng, s.follows, s.gumbel_sigmas)
 
 
 def _doubted(found: Fit) -> bool:

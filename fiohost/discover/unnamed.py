@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.objective import Windows
 from fiohost.discover.score import Gain, left_out
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model
@@ -60,7 +60,7 @@ def with_curves(model: Model, train: Sequence[Record]) -> Unnamed | None:
     """The model with what left-out records ask for of the curves over position; None where they ask for none."""
     if not all(r.kind == ANGLE for r in train):
         return None
-    windows = Windows(train)
+    windows = WeighedWindows(train)
     records = windows.plain
     base = fit(model, records, windows=True, max_iterations=12, tolerance=1e-5)
     first, taken = base, []
