@@ -68,7 +68,7 @@ class Replicas:
         record, model = day or self.record, self.model
         noise, own = (record.disturbance.noise, record.disturbance.own) if record.disturbance else (None, None)
         if noise and noise.runs.known:
-            model = varied(model, own.values if own else noise.runs.sd * rng.standard_normal(len(noise.runs.sd)))
+            model = varied(model, own.values if own else noise.runs.about_model * rng.standard_normal(3))
         shift = self._shift(rng) if record.kind == ANGLE else 0.0
         begin = self.start._replace(angle=self.start.angle + shift)
         if noise and noise.torque_pct.value > 0.0:
@@ -113,7 +113,7 @@ def another_day(
     drawn: dict[str, np.ndarray] = {}
     found, u = [], float(rng.random())
     runs = next(r.disturbance.noise.runs for r in records if r.disturbance is not None)
-    sd = runs.likely_sd(rng) if open_runs else runs.sd
+    sd = runs.likely_sd(rng) if open_runs else runs.about_model
     for record in records:
         disturbance = record.disturbance
         if disturbance is not None:

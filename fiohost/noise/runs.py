@@ -57,10 +57,20 @@ class RunToRun:
     def known(self) -> bool:
         return bool(np.any(self.sd > 0.0))
 
+    @property
+    def about_model(self) -> np.ndarray:
+        """Scatter (3) about what the model says, not about the runs' own mean: where no name takes up an offset that
+        runs have in common, another day's runs have as much.
+        """
+        if not (self.known and self.by_run):
+            return self.sd
+        rms = np.sqrt(np.mean(np.square(list(self.by_run.values())), axis=0))
+        return np.where(self.sd > 0.0, np.maximum(self.sd, rms), 0.0)
+
     def likely_sd(self, rng: np.random.Generator) -> np.ndarray:
-        """Standard deviations (3) as they may be, one draw: few runs say little of how they scatter (Student 1908)."""
+        """``about_model`` (3) as it may be, one draw: few runs say little of how they scatter (Student 1908)."""
         free = max(len(self.by_run) - 1, 1)
-        return np.asarray(self.sd * np.sqrt(free / rng.chisquare(free, len(self.sd))))
+        return np.asarray(self.about_model * np.sqrt(free / rng.chisquare(free, len(self.sd))))
 
 
 NO_SCATTER = RunToRun(np.zeros(3), np.zeros((3, 2)))
