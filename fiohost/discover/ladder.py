@@ -45,17 +45,21 @@ def searched(
     """
     windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
 
-    def pushed(model: Model) -> bool:
-        """Whether all that a model leaves in windows is a random torque: no whole run can be followed then."""
+    def noise_alone(model: Model) -> Noise | None:
+        """The random torque, or how runs differ, where that is all that a model leaves in windows: no whole run can be
+        followed then.
+        """
         probe = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
         found = probe.settled(fit(model, probe.plain, windows=True, max_iterations=12))
-        return found.noise is not None and found.noise.torque_known and probe.white(found)
+        noise = found.noise
+        known = noise is not None and (noise.torque_known or noise.runs.known)
+        return noise if known and probe.white(found) else None
 
     def in_vain(node: Node) -> bool:
-        """Whether no structure follows whole runs. Beside one name a random torque may still be another, which windows
+        """Whether no structure follows whole runs. Beside one name a noise may still be another effect, which windows
         do not tell from it.
         """
-        return len(node.added) > 1 and pushed(node.state.fit.model)
+        return len(node.added) > 1 and noise_alone(node.state.fit.model) is not None
 
     runs = WholeRuns(train, rng)
     whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
@@ -103,17 +107,20 @@ def searched(
         if timed := _by_one_clock(runs, library, say, model, from_file):
             return timed
         say("whole runs stay unexplained: windows of 1 s")
-        plain = PlainWindows(train, np.random.default_rng(NOISE_SEED))
+        noise = noise_alone(root.state.fit.model)
+        plain = PlainWindows(train, np.random.default_rng(NOISE_SEED), beside_noise=noise is not None)
         # Where two names do not lead whole runs to the data, noise is asked for before more are.
         rough = Search(
             plain, shown, say, tolerance_pct=tolerance_pct, enough=enough, in_vain=lambda n: len(n.added) > 1
         )
-        seen = rough.run(rough.declared(model, from_file))
+        seen = rough.declared(model, from_file)
+        if noise is None or not noise.runs.known:
+            seen = rough.run(seen)
         if seen.added and (best := led(seen, further=False)):
             return whole.found(root, best)
         # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
         # asked for.
-        if rough.white(seen) or not (seen.added or pushed(seen.state.fit.model)):
+        if rough.white(seen) or not (seen.added or noise):
             begun_anew = True
             if anew := far():
                 return anew

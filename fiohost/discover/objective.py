@@ -163,8 +163,16 @@ class PlainWindows(Logs):
 
     exact = False
 
-    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None, anew: bool = False) -> None:
+    def __init__(
+        self,
+        train: Sequence[Record],
+        rng: np.random.Generator | None = None,
+        anew: bool = False,
+        beside_noise: bool = False,
+    ) -> None:
+        """``beside_noise`` says that noise would do for all that is left: only what takes much leads on."""
         super().__init__(train, rng, anew)
+        self.least_taken = self.settings.least_of_rest if beside_noise else self.settings.least_further
         every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)
@@ -192,7 +200,7 @@ class PlainWindows(Logs):
 
     def immaterial(self, before: State, after: State) -> str | None:
         taken = self.taken(before, after)
-        if taken >= self.settings.least_further:
+        if taken >= self.least_taken:
             return None
         return f"removes {100 * max(taken, 0.0):.0f} % of what windows leave"
 
