@@ -16,6 +16,7 @@ from fiohost.discover.degenerate import believed, degenerate
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.discover.step import Found, Step
+from fiohost.judging.metrics import Judgement
 from fiohost.judging.stage import Stage
 from fiohost.noise.estimate import NONE
 from fiohost.report.words import verdict_sentence
@@ -113,11 +114,14 @@ def test_an_interval_wider_than_its_value_is_not_believed(stages: tuple[Stage, S
 
 def test_a_floor_above_the_error_is_not_believed(stages: tuple[Stage, Stage]) -> None:
     before, after = stages
-    floors = tuple(
-        replace(f, errors=replace(f.errors, window_rms=10.0 * f.errors.window_rms, free_run_rms=10.0))
-        for f in after.floors
-    )
-    assert "the model's own data err" in str(degenerate(before, replace(after, floors=floors)))
+
+    def worse(draw: Judgement) -> Judgement:
+        return replace(draw, errors=replace(draw.errors, window_rms=10.0 * draw.errors.window_rms, free_run_rms=10.0))
+
+    all_worse = tuple(replace(f, draws=tuple(map(worse, f.draws))) for f in after.floors)
+    assert "the model's own data err" in str(degenerate(before, replace(after, floors=all_worse)))
+    but_one = tuple(replace(f, draws=(*map(worse, f.draws[1:]), f.draws[0])) for f in after.floors)
+    assert degenerate(before, replace(after, floors=but_one)) is None  # the shaft stuck in all others
 
 
 def test_an_error_that_is_no_lower_is_not_believed(stages: tuple[Stage, Stage]) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fiohost.discover.candidate import Candidate
 from fiohost.discover.step import Found
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.intervals import Estimate, estimates
-from fiohost.judging.metrics import pool
+from fiohost.judging.floor import Floor
+from fiohost.judging.metrics import Errors, pool
 from fiohost.judging.stage import Stage
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
@@ -23,7 +24,8 @@ class DegenerateSettings:
 
     # A 95 % interval this many times as wide as its value says nothing of it.
     widest: float = 1.0
-    # Data of the model's own that err so many times more than those that it was fitted to show that these are not such.
+    # Where even those of the model's own data that err least err so many times more than the data that it was fitted
+    # to, these are not such. Others may err by any size: in some a shaft sticks that did not.
     floor_above: float = 2.0
     # Errors this close, as a factor, are as they were.
     as_it_was: float = 1.0
@@ -57,15 +59,22 @@ def degenerate(before: Stage, after: Stage, taken: float = 0.0, settings: Degene
     if lost := core_lost(after.fit, after.scattered_models, settings):
         return lost
     was, now = pool([j.errors for j in before.judgements]), pool([j.errors for j in after.judgements])
-    floor = pool([f.errors for f in after.floors])
-    if was is None or now is None or floor is None:
+    least = pool([_least(f) for f in after.floors])
+    if was is None or now is None or least is None:
         return None
-    if floor.window_rms > settings.floor_above * now.window_rms and floor.free_run_rms > now.free_run_rms:
-        return f"with it the model's own data err by {floor.window_rms:.3g}, these by {now.window_rms:.3g} only"
+    if least.window_rms > settings.floor_above * now.window_rms and least.free_run_rms > now.free_run_rms:
+        return f"with it the model's own data err by {least.window_rms:.3g} at least, these by {now.window_rms:.3g}"
     closest = min(now.window_rms / was.window_rms, now.free_run_rms / was.free_run_rms)
     if closest >= settings.as_it_was and taken <= 0.0:
         return "with it the error is no lower than before"
     return None
+
+
+def _least(floor: Floor) -> Errors:
+    """The errors of a record's replicas that err least."""
+    draws = [d.errors for d in floor.draws]
+    window, free = min(d.window_rms for d in draws), min(d.free_run_rms for d in draws)
+    return replace(floor.errors, window_rms=window, free_run_rms=free)
 
 
 def may_vanish(after: Stage, name: str) -> str | None:

@@ -95,7 +95,7 @@ def searched(
 
     def far() -> Found[Stage] | None:
         """What explains whole runs where effects begin from values of their own, or None."""
-        search = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct)
+        search = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
         best = search.run(root)
         return search.found(root, best) if search.explains(best) else None
 
