@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -37,104 +37,132 @@ def searched(
     hidden: Mapping[str, str],
     tolerance_pct: float = 0.0,
 ) -> Found[Stage]:
-    """What a declared model lacks: by whole runs; where these cannot be followed, by windows under the noise that is
-    left, without what is ``hidden`` from the logs; by whole runs again from there.
+    """What a declared model lacks: by whole runs; where these cannot be followed, by windows, without what is
+    ``hidden`` from the logs; by whole runs again from there.
 
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
+    return _Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct).climbed()
 
-    def noise_alone(model: Model) -> Noise | None:
-        """The random torque, or how runs differ, where that is all that a model leaves in windows: no whole run can be
+
+class _Ladder:
+    """The rungs of one search; each is a search of its own over the same records."""
+
+    def __init__(
+        self,
+        train: Sequence[Record],
+        model: Model,
+        library: Sequence[str] | None,
+        from_file: bool,
+        rng: np.random.Generator,
+        say: Progress,
+        hidden: Mapping[str, str],
+        tolerance_pct: float,
+    ) -> None:
+        self.train, self.model, self.library, self.from_file = train, model, library, from_file
+        self.rng, self.say, self.tolerance_pct = rng, say, tolerance_pct
+        self.shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
+        self.begun_anew = not self.exact
+        self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
+        self.runs = WholeRuns(train, rng)
+        self.whole = Search(self.runs, library, say, tolerance_pct=tolerance_pct, in_vain=self._in_vain)
+        self.root = self.whole.declared(model, from_file)
+        self._near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
+
+    def climbed(self) -> Found[Stage]:
+        """What the first rung that explains the data finds, or the last."""
+        if self.whole.explains(self.root):
+            return self.whole.found(self.root, self.root)
+        if self.exact and not self.runs.few and (found := self._by_whole_runs() or self._by_plain_windows()):
+            return found
+        return self._by_weighed_windows()
+
+    def _by_whole_runs(self) -> Found[Stage] | None:
+        best = self.whole.run(self.root)
+        if self.whole.explains(best):
+            return self.whole.found(self.root, best)
+        return _by_one_clock(self.runs, self.library, self.say, self.model, self.from_file)
+
+    def _by_plain_windows(self) -> Found[Stage] | None:
+        """What whole runs follow where two names lead at most: before more are, noise is asked for."""
+        self.say("whole runs stay unexplained: windows of 1 s")
+        noise = self._noise_alone(self.root)
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), beside_noise=noise)
+        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
+        seen = search.run(search.declared(self.model, self.from_file))
+        if seen.added and (best := self._led(seen, further=False)):
+            return self.whole.found(self.root, best)
+        # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
+        # asked for.
+        return self._anew() if search.white(seen) or not (seen.added or noise) else None
+
+    def _by_weighed_windows(self) -> Found[Stage]:
+        """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""
+        self.say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
+        search = self._in_windows(self.windows)
+        begun = search.declared(self.model, self.from_file)
+        seen = search.run(begun)
+        if self.exact and (seen.added or self.runs.few) and (best := self._led(seen)):
+            return self.whole.found(self.root, best)
+        found = replace(search.found(begun, seen), white=search.white(seen))
+        found = _plainly_fitted(found, self.windows, self.rng)
+        explained = found.white and found.final.follows
+        return found if self.begun_anew or explained else self._anew() or found
+
+    def _anew(self) -> Found[Stage] | None:
+        """What explains whole runs where effects begin from values of their own, or None."""
+        self.begun_anew = True
+        runs = WholeRuns(self.train, self.rng, anew=True)
+        search = Search(runs, self.library, self.say, tolerance_pct=self.tolerance_pct, in_vain=self._in_vain)
+        best = search.run(self.root)
+        return search.found(self.root, best) if search.explains(best) else None
+
+    def _in_windows(self, windows: PlainWindows, in_vain: Callable[[Node], bool] = lambda node: False) -> Search[Stage]:
+        return Search(
+            windows, self.shown, self.say, tolerance_pct=self.tolerance_pct, enough=self._enough, in_vain=in_vain
+        )
+
+    def _enough(self, node: Node) -> bool:
+        """Whether whole runs follow what windows led to."""
+        return self.exact and self.whole.explains(self._as_whole_runs(node))
+
+    def _noise_alone(self, node: Node) -> bool:
+        """Whether all that a model leaves in windows may be a random torque, or how runs differ: no whole run can be
         followed then.
         """
-        probe = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
-        found = probe.settled(fit(model, probe.plain, windows=True, max_iterations=12))
-        noise = found.noise
-        known = noise is not None and (noise.torque_known or noise.runs.known)
-        return noise if known and probe.white(found) else None
+        probe = WeighedWindows(self.train, np.random.default_rng(NOISE_SEED))
+        found = probe.settled(fit(node.state.fit.model, probe.plain, windows=True, max_iterations=12))
+        known = found.noise is not None and (found.noise.torque_known or found.noise.runs.known)
+        return known and probe.white(found)
 
-    def in_vain(node: Node) -> bool:
+    def _in_vain(self, node: Node) -> bool:
         """Whether no structure follows whole runs. Beside one name a noise may still be another effect, which windows
         do not tell from it.
         """
-        return len(node.added) > 1 and noise_alone(node.state.fit.model) is not None
+        return len(node.added) > 1 and self._noise_alone(node)
 
-    runs = WholeRuns(train, rng)
-    whole = Search(runs, library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
-    root = whole.declared(model, from_file)
-    if whole.explains(root):
-        return whole.found(root, root)
-    exact = not (any(r.broken for r in train) or noisy_sensor(train))
-    shown = [n for n in (effects() if library is None else library) if n not in hidden]
-    near: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
-
-    def as_whole_runs(node: Node) -> Node:
+    def _as_whole_runs(self, node: Node) -> Node:
         """What windows led to, fitted to whole runs; choices that windows hardly show are made anew there."""
+        near, runs = self._near, self.runs
         if node not in near:
             fitted = fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
             near[node] = Node(runs.settled(fitted), node.added)
-            if not whole.explains(near[node]):
+            if not self.whole.explains(near[node]):
                 near[node] = Node(runs.settled(chosen_again(fitted, runs.records)), node.added)
         return near[node]
 
-    def enough(node: Node) -> bool:
-        return exact and whole.explains(as_whole_runs(node))
-
-    def led(seen: Node, further: bool = True) -> Node | None:
+    def _led(self, seen: Node, further: bool = True) -> Node | None:
         """What explains whole runs from where windows led, with ``further`` effects added there or without, or None."""
-        again = as_whole_runs(seen)
-        if not whole.explains(again):
-            again = Node(runs.finished(again.state), seen.added)
-        if whole.explains(again):
-            again = whole.exchanged(again, root=None if runs.only_counts(again.state) else root)
+        again = self._as_whole_runs(seen)
+        if not self.whole.explains(again):
+            again = Node(self.runs.finished(again.state), seen.added)
+        if self.whole.explains(again):
+            again = self.whole.exchanged(again, root=None if self.runs.only_counts(again.state) else self.root)
         elif further:
-            again = whole.run(again)
-        return again if whole.explains(again) else None
-
-    def far() -> Found[Stage] | None:
-        """What explains whole runs where effects begin from values of their own, or None."""
-        search = Search(WholeRuns(train, rng, anew=True), library, say, tolerance_pct=tolerance_pct, in_vain=in_vain)
-        best = search.run(root)
-        return search.found(root, best) if search.explains(best) else None
-
-    begun_anew = not exact
-    if exact and not runs.few:
-        best: Node | None = whole.run(root)
-        if best is not None and whole.explains(best):
-            return whole.found(root, best)
-        if timed := _by_one_clock(runs, library, say, model, from_file):
-            return timed
-        say("whole runs stay unexplained: windows of 1 s")
-        noise = noise_alone(root.state.fit.model)
-        plain = PlainWindows(train, np.random.default_rng(NOISE_SEED), beside_noise=noise is not None)
-        # Where two names do not lead whole runs to the data, noise is asked for before more are.
-        rough = Search(
-            plain, shown, say, tolerance_pct=tolerance_pct, enough=enough, in_vain=lambda n: len(n.added) > 1
-        )
-        seen = rough.declared(model, from_file)
-        if noise is None or not noise.runs.known:
-            seen = rough.run(seen)
-        if seen.added and (best := led(seen, further=False)):
-            return whole.found(root, best)
-        # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
-        # asked for.
-        if rough.white(seen) or not (seen.added or noise):
-            begun_anew = True
-            if anew := far():
-                return anew
-    say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
-    by_windows = Search(windows, shown, say, tolerance_pct=tolerance_pct, enough=enough)
-    begun = by_windows.declared(model, from_file)
-    seen = by_windows.run(begun)
-    if exact and (seen.added or runs.few) and (best := led(seen)):
-        return whole.found(root, best)
-    found = by_windows.found(begun, seen)
-    found = _plainly_fitted(replace(found, white=by_windows.white(seen)), windows, rng)
-    if not begun_anew and not (found.white and found.final.follows):
-        return far() or found
-    return found
+            again = self.whole.run(again)
+        return again if self.whole.explains(again) else None
 
 
 def _plainly_fitted(found: Found[Stage], windows: WeighedWindows, rng: np.random.Generator) -> Found[Stage]:
