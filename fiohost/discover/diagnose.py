@@ -17,7 +17,7 @@ from fiohost.checks.preliminary import Preliminary, examine
 from fiohost.checks.said import Said
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import believed
-from fiohost.discover.ladder import in_sequence, searched
+from fiohost.discover.ladder import Ladder, in_sequence
 from fiohost.discover.own_start import SETTINGS as OWN
 from fiohost.discover.own_start import OwnSettings, OwnStart, own_starts
 from fiohost.discover.step import Step
@@ -181,7 +181,8 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    found = believed(searched(train, model, library, from_file, rng, say, hidden, tolerance_pct), hidden)
+    ladder = Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct)
+    found = believed(ladder.climbed(), hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]

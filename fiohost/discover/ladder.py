@@ -27,27 +27,13 @@ from fiohost.noise.estimate import Noise
 NOISE_SEED = 1
 
 
-def searched(
-    train: Sequence[Record],
-    model: Model,
-    library: Sequence[str] | None,
-    from_file: bool,
-    rng: np.random.Generator,
-    say: Progress,
-    hidden: Mapping[str, str],
-    tolerance_pct: float = 0.0,
-) -> Found[Stage]:
+class Ladder:
     """What a declared model lacks: by whole runs; where these cannot be followed, by windows, without what is
-    ``hidden`` from the logs; by whole runs again from there.
+    ``hidden`` from the logs; by whole runs again from there. Each rung is a search of its own over the same records.
 
     With few experiments windows come first: their whole runs have too many local minima. What is left below
     ``tolerance_pct`` of the motion is not asked about.
     """
-    return _Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct).climbed()
-
-
-class _Ladder:
-    """The rungs of one search; each is a search of its own over the same records."""
 
     def __init__(
         self,
