@@ -21,9 +21,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +35,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.11", "3.12", "3.13")
 NUMPY = {"oldest": {"3.11": "1.26.0", "3.12": "1.26.0", "3.13": "2.1.0"}, "newest": {}}
 LIMIT_S = 1800
+# Rows side by side, which wait for each other where they share an environment that is not built yet.
+WORKERS = min(2, os.cpu_count() or 1)
+BUILDING: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
 KINDS = ("ok", "ABSENT", "FAILED")
 NO_UTF8: dict[str, str | None] = {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 STEP = (
@@ -51,6 +58,7 @@ class Row:
     sampled: bool = False
     ordinary: bool = False  # as a user who is not root, where root starts it
     read_only: bool = False  # the folder
+    at_home: bool = False  # with a home of its user's own, where what is compiled is kept
 
 
 ROWS = (
@@ -64,7 +72,7 @@ ROWS = (
     Row("an ordinary user without a home", environment={"HOME": "/nonexistent", "XDG_CACHE_HOME": None}, ordinary=True,
         folder="theirs"),
     Row("an ordinary user in a folder that cannot be written", ordinary=True, read_only=True, folder="shut",
-        sampled=True),
+        at_home=True, sampled=True),
 )  # fmt: skip
 
 
@@ -104,27 +112,51 @@ def commands(fiohost: list[str], to: Path | None) -> list[list[str]]:
     ]
 
 
-def run(row: Row, work: Path) -> str:
-    """What came of it: ``ok`` with seconds, ``ABSENT``, or the command that failed and its last words."""
+def _home(row: Row, work: Path) -> Path:
+    """A home of the row's user alone."""
+    home = work / "home"
+    home.mkdir(mode=0o700)
+    if row.ordinary and not os.geteuid():
+        shutil.chown(home, "nobody")
+    return home
+
+
+def installed(row: Row, venv: Path, interpreter: str) -> str:
+    """Install the checkout where it is not yet; what went wrong, or nothing."""
+    if venv.exists():
+        return ""
+    python, wanted = str(venv / "bin" / "python"), NUMPY[row.numpy].get(row.python)
+    packages = [str(ROOT), *([f"numpy=={wanted}"] if wanted else [])]
+    for command in ([interpreter, "-m", "venv", str(venv)], [python, "-m", "pip", "install", "-q", *packages]):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        if done.returncode:
+            shutil.rmtree(venv, ignore_errors=True)
+            return f"FAILED to install: {(done.stdout + done.stderr).strip()[-200:]}"
+    return ""
+
+
+def run(row: Row, work: Path, venvs: Path) -> str:
+    """What came of it in the folder ``work``: ``ok`` with seconds, ``ABSENT``, or the command that failed and its last
+    words.
+    """
     user = _as(row)
     interpreter = interpreter_of(row.python, **user)
     if interpreter is None:
         return f"ABSENT: there is no python{row.python} on this computer"
     began = time.monotonic()
-    venv = work / f"venv-{row.python}-{row.numpy}{'-user' * bool(user)}"
+    venv = venvs / f"venv-{row.python}-{row.numpy}{'-user' * bool(user)}"
     folder = work / row.folder
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True)
     python = str(venv / "bin" / "python")
-    if not venv.exists():
-        wanted = NUMPY[row.numpy].get(row.python)
-        packages = [str(ROOT), *([f"numpy=={wanted}"] if wanted else [])]
-        for command in ([interpreter, "-m", "venv", str(venv)], [python, "-m", "pip", "install", "-q", *packages]):
-            done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
-            if done.returncode:
-                shutil.rmtree(venv, ignore_errors=True)
-                return f"FAILED to install: {(done.stdout + done.stderr).strip()[-200:]}"
+    with BUILDING[venv.name]:
+        failed = installed(row, venv, interpreter)
+    if failed:
+        return failed
     environment = {k: v for k, v in os.environ.items() if k not in row.environment and not k.startswith("PYTHON")}
     environment |= {k: v for k, v in row.environment.items() if v is not None}
+    if row.at_home:
+        environment["HOME"] = str(_home(row, work))
+        environment.pop("XDG_CACHE_HOME", None)
     (folder / "e.toml").write_text(STEP)
     to = work / f"{row.folder}-results" if row.read_only else None
     for place in (to, folder):
@@ -141,7 +173,6 @@ def run(row: Row, work: Path) -> str:
             return ""
         return f"FAILED: fiohost {command[3]}: exit {done.returncode}: {said.strip()[-300:]}"
 
-    failed = ""
     if row.read_only:
         folder.chmod(0o555)
         failed = wrong([*fiohost, "run", "e.toml", "--log", "here.csv"], 1)
@@ -165,10 +196,10 @@ def main() -> int:
         return 0
     counts = dict.fromkeys(KINDS, 0)
     unasked = 0
-    with tempfile.TemporaryDirectory() as work:
+    with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(WORKERS) as pool:
         Path(work).chmod(0o755)
-        for row in rows:
-            result = run(row, Path(work))
+        folders = [Path(work) / f"row {i}" for i in range(len(rows))]
+        for row, result in zip(rows, pool.map(run, rows, folders, repeat(Path(work))), strict=True):
             kind = result.split()[0].rstrip(":")
             counts[kind] += 1
             unasked += kind == "ABSENT" and row.python not in asked.without

@@ -80,7 +80,8 @@ def test_what_is_missing_is_named_beside_how_runs_differ() -> None:
     than any effect.
     """
     records = differing(2, "direction_dependent_gain", {"direction_dependent_gain.ratio": 1.06})
-    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"))
+    library = ["direction_dependent_gain", "static_friction", "input_deadband", "constant_load", "gravity_load"]
+    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library)
     assert found.steps[0].effect == "direction_dependent_gain"
     assert found.verdict == "explained"
 
