@@ -20,12 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.extending import register_jitable
 
 numba_config: Any = numba.config
 njit: Any = numba.njit
 
 # The kernel allocates nothing and hands its arrays down; without reference counting those calls are free.
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
 
 # the line and its bytes, and what calls the kernel
 NOT_COMPILED = ("__main__.py", "emulated", "formats.py", "gadget.py", "lines", "quadrature.py", "serve.py")
@@ -94,9 +97,63 @@ def _is_own(folder: Path) -> bool:
     return True
 
 
+class PartCode(JITCodeLibrary):
+    """Code of a part, as numba translates it. Only where it stands in the kernel is it optimised and made into
+    machine code: numba would do both for each part, with all that it calls.
+    """
+
+    hint = "inlinehint"
+
+    def finalize(self) -> None:
+        whole = self._final_module
+        for function in whole.functions:
+            if not function.is_declaration:
+                function.add_function_attribute(self.hint)
+        for called in dict.fromkeys(self._linking_libraries):
+            whole.link_in(called._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None: nothing outside the kernel runs it."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> PartCode:
+        """Asked by numba to tell machine code where its constants are."""
+        return self
+
+    def set_env(self, name: str, env: object) -> None:
+        """There is no machine code to be told."""
+
+
+class InlinedCode(PartCode):
+    """Code of a part that is put into its callers, however many there are."""
+
+    hint = "alwaysinline"
+
+
+class PartCompiler(Compiler):
+    """Numba's compiler, writing a part's code."""
+
+    code = PartCode
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.state.library = self.state.library or self.code(self.state.targetctx.codegen(), "part")
+
+
+class InlinedCompiler(PartCompiler):
+    """The same for one that is put into its callers."""
+
+    code = InlinedCode
+
+
 def part(function: Callable[..., Any], *, inline: bool = False) -> Any:
-    """Compile a function that only the kernel calls; ``inline``: put it into its callers, however many there are."""
-    return njit(forceinline=inline, **OPTIONS)(function)
+    """Compile a function for the kernel alone, Python runs it as Python; ``inline``: put it into its callers, however
+    many there are.
+    """
+    return register_jitable(pipeline_class=InlinedCompiler if inline else PartCompiler, **OPTIONS)(function)
 
 
 def entry(function: Callable[..., Any]) -> Any:

@@ -32,6 +32,7 @@ from firmware_model.stepper import advance_step
 
 DELAY = int(C.DELAY)
 R, L, KE = int(C.R), int(C.L), int(C.KE)
+NO_COMMAND = -1
 MOST_STEPS = 200_000  # in one hold; usual are one to ten
 FAST, CHANGED = int(C.FAST), int(C.CHANGED)
 CHANGE_AT = int(C.CHANGE_AT)
@@ -103,28 +104,27 @@ def pass_time(y, r, m, queue, w, p, on, end):  # type: ignore[no-untyped-def]
             run_until(y, r, m, w, until, p, on)
 
 
-@part
-def hold(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
-    """Latch a command, then run for ``span`` seconds."""
-    end = r[TIME] + span
-    latch(y, r, m, queue, p, on, mode, duty)
-    pass_time(y, r, m, queue, w, p, on, end)
-
-
 @entry
-def run(y, r, m, queue, w, p, on, mode, duty, span):  # type: ignore[no-untyped-def]
-    """One task step."""
-    hold(y, r, m, queue, w, p, on, mode, duty, span)
+def run(y, r, m, queue, w, p, on, modes, duties, span, parts, counts, states):  # type: ignore[no-untyped-def]
+    """Task steps of ``span`` seconds in a row; ``counts[k]`` and ``states[k]`` are the counter and the state before
+    step k.
 
-
-@entry
-def run_many(y, r, m, queue, w, p, on, modes, duties, span, counts, states):  # type: ignore[no-untyped-def]
-    """Task steps in a row; ``counts[k]`` and ``states[k]`` are the counter and the state before step k."""
+    A command is latched at the start of its step, none where its mode is ``NO_COMMAND``. Where looks at the encoder are
+    kept, as :func:`firmware_model.encoder.read_encoder` says, there is one at the start and at the end of each of the
+    ``parts`` parts of a step. All motion is in this one function: each that is called from Python is compiled with a
+    copy of all that it calls.
+    """
     for k in range(duties.shape[0]):
         counts[k] = m[COUNT]
         for i in range(states.shape[1]):
             states[k, i] = y[i]
-        hold(y, r, m, queue, w, p, on, modes[k], duties[k], span)
+        begin = r[TIME]
+        if m[LOOKS] >= 0:
+            read_encoder(y, r, m, p, on)
+        if modes[k] != NO_COMMAND:
+            latch(y, r, m, queue, p, on, modes[k], duties[k])
+        for i in range(parts):
+            pass_time(y, r, m, queue, w, p, on, begin + span * ((i + 1) / parts))
 
 
 @entry
@@ -132,19 +132,3 @@ def meters(y, r, m, queue, w, p, on):  # type: ignore[no-untyped-def]
     """Mean current and mean voltage of the winding now; with the bridge open and no current, the back-emf."""
     current, rate = electrical(r[TIME], y, m, r[DUTY], p, on)
     return current, p[R] * current + p[L] * rate + p[KE] * y[OMEGA]
-
-
-@entry
-def run_looking(y, r, m, queue, w, p, on, is_new, mode, duty, until, parts):  # type: ignore[no-untyped-def]
-    """Run to the time ``until`` with a look at the encoder at the start and at the end of each of ``parts`` parts.
-
-    Looks are kept in ``r``, as :func:`firmware_model.encoder.read_encoder` says. The command is latched where
-    ``is_new``.
-    """
-    begin = r[TIME]
-    m[LOOKS] = 0
-    read_encoder(y, r, m, p, on)
-    if is_new:
-        latch(y, r, m, queue, p, on, mode, duty)
-    for k in range(parts):
-        pass_time(y, r, m, queue, w, p, on, begin + (until - begin) * ((k + 1) / parts))

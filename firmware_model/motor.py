@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from firmware_model.errors import FirmwareModelError
 from firmware_model.hooks import HOOKS, offsets, parameter_count, state_count
-from firmware_model.kernel import meters, run, run_many
+from firmware_model.kernel import meters, run
 from firmware_model.layout import (
     BODIES,
     COUNT,
@@ -163,7 +163,9 @@ class Motor:
         self._command = 0, 0.0  # mode and duty latched last
         self._queue = np.zeros((3, QUEUE))
         self._work = np.zeros((WORK_ROWS, max(state_count(), ROW)))
-        run(*self._arrays(), 0, 0.0, 0.0)  # compiled here, not in the first task step
+        # Of one task step: mode, duty, and the counter and the state before it.
+        self._one = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.int64), np.zeros((1, len(y)))
+        self._pass(0, 0.0, 0.0)  # compiled here, not in the first task step
         first = float(y[LOAD_THETA] if p[C.AFTER] else y[THETA])
         p[C.ANGLE_ZERO] = math.floor(measured(first, p, on) / p[C.QUANTUM])
         r[EDGES] = 0.0
@@ -214,11 +216,10 @@ class Motor:
             return float(current), float(volts)
         copies = tuple(array.copy() for array in self._arrays())  # what is looked at goes on undisturbed
         y, p = copies[0], self._p
-        theta, first, mean, period = y[THETA], y[CURRENT], 0.0, p[C.PERIOD]
-        for _ in range(METER_PARTS):
-            before = y[CURRENT]
-            run(*copies, *self._command, period / METER_PARTS)
-            mean += 0.5 * (before + y[CURRENT]) / METER_PARTS
+        theta, first, period = y[THETA], y[CURRENT], p[C.PERIOD]
+        modes, duties = (np.full(METER_PARTS, value) for value in self._command)
+        _, states = _stepped(copies, modes, duties, period / METER_PARTS)
+        mean = (states[:, CURRENT].sum() + 0.5 * (y[CURRENT] - first)) / METER_PARTS  # by trapezia
         ramp = (p[C.L] * (y[CURRENT] - first) + p[C.KE] * (y[THETA] - theta)) / period
         return float(mean), float(p[C.R] * mean + ramp)
 
@@ -245,7 +246,13 @@ class Motor:
     def run(self, mode: int, duty_pct: float, span_s: float) -> None:
         """Let ``span_s`` pass with the bridge in ``mode`` at a signed duty in percent."""
         self._command = mode, duty_pct
-        run(*self._arrays(), mode, duty_pct, span_s)
+        self._pass(mode, duty_pct, span_s)
+
+    def _pass(self, mode: int, duty_pct: float, span_s: float, parts: int = 1) -> None:
+        """Let one task step pass."""
+        modes, duties, counts, states = self._one
+        modes[0], duties[0] = mode, duty_pct
+        run(*self._arrays(), modes, duties, span_s, parts, counts, states)
         self._check()
 
     def _check(self) -> None:
@@ -258,13 +265,20 @@ class Motor:
         self, modes: npt.NDArray[np.int64], duties_pct: FloatArray, span_s: float
     ) -> tuple[npt.NDArray[np.int64], FloatArray]:
         """Many task steps; counts (n,) and states (n, state size, SI units) as they were before each."""
-        counts = np.zeros(len(duties_pct), np.int64)
-        states = np.zeros((len(duties_pct), len(self._y)))
         if len(modes):
             self._command = int(modes[-1]), float(duties_pct[-1])
-        run_many(*self._arrays(), modes, duties_pct, span_s, counts, states)
+        counts, states = _stepped(self._arrays(), modes, duties_pct, span_s)
         self._check()
         return counts, states
+
+
+def _stepped(
+    arrays: tuple[Any, ...], modes: npt.NDArray[np.int64], duties_pct: FloatArray, span_s: float
+) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Task steps by a motor's arrays: counts (n,) and states (n, state size) as they were before each."""
+    counts, states = np.zeros(len(duties_pct), np.int64), np.zeros((len(duties_pct), len(arrays[0])))
+    run(*arrays, modes, duties_pct, span_s, 1, counts, states)
+    return counts, states
 
 
 def measured(angle_rad: float, p: FloatArray, on: npt.NDArray[np.uint8]) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from firmware_model.encoder import LOOK, levels_of
 from firmware_model.errors import FirmwareModelError
-from firmware_model.kernel import run_looking
+from firmware_model.kernel import NO_COMMAND
 from firmware_model.layout import INVALID, LEVELS, LOOKS, REALS
 from firmware_model.motor import Motor
 from firmware_model.plants import Plant
@@ -62,9 +62,8 @@ class EdgeMotor(Motor):
     def _run_piece(self, time_s: float, command: tuple[int, float] | None) -> list[Edge]:
         span_s = time_s - self.time_s
         mode, duty_pct = self._command = command or self._command
-        parts = max(1, math.ceil(span_s / LOOK_S))
-        run_looking(*self._arrays(), command is not None, mode, duty_pct, time_s, parts)
-        self._check()
+        self._m[LOOKS] = 0
+        self._pass(mode if command else NO_COMMAND, duty_pct, span_s, max(1, math.ceil(span_s / LOOK_S)))
         count = int(self._m[LOOKS])
         self._m[LOOKS] = -1
         if count > MOST_LOOKS:
