@@ -106,6 +106,23 @@ def test_a_row_that_contradicts_all_around_it_is_set_aside_with_its_number() -> 
     assert doubtful_modes(hunting, duty)[1] == ()
 
 
+def test_a_wrong_row_at_a_switch_or_near_one_is_found() -> None:
+    mode = np.repeat([2, 1, 0, 1, 2], 100)
+    duty = np.repeat([0.0, -30.0, 0.0, 40.0, 0.0], 100)
+    wrong = mode.copy()
+    wrong[[100, 211]] = 0, 1  # the first driven row is not driven; a coasting row is, at no duty, soon after a switch
+    settled, rows = doubtful_modes(wrong, duty)
+    assert rows == (100, 211)
+    assert (settled == mode).all()
+
+
+def test_a_bridge_that_is_opened_at_every_switch_contradicts_nothing() -> None:
+    mode = np.repeat([2, 1, 2, 1, 2], 100)
+    duty = np.repeat([0.0, -30.0, 0.0, 40.0, 0.0], 100)
+    mode[[100, 300]] = 0
+    assert doubtful_modes(mode, duty)[1] == ()
+
+
 def test_a_controller_that_passes_zero_contradicts_nothing() -> None:
     mode, duty = np.ones(400, dtype=int), np.linspace(20.0, -20.0, 400)
     mode[200], duty[200] = 2, 0.0

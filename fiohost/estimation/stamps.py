@@ -17,8 +17,9 @@ class StampSettings:
     # shortest pulse.
     same_across_s: float = 0.1
     # A direction bit that differs in one row from so many before and after it, all alike, contradicts them; controllers
-    # that really change for one tick do so again and again.
+    # that really change for one tick do so again and again. One switch may be so near.
     alike_rows: int = 20
+    switches_near: int = 1
     # Stamps that scatter less than this share of a tick are as good as regular.
     regular_share: float = 0.02
     # Stamps are judged where the shaft moves by the smallest step of the readings in a tick or more, in so many rows at
@@ -75,24 +76,31 @@ def doubtful_modes(
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """The modes (n) with single rows that contradict all around them set as these are, and those rows.
 
-    A row contradicts by a mode that differs while its duty does not, or by a duty that is not to be driven.
+    A row contradicts by a mode that differs while its duty does not, or by a duty that is not to be driven. So it may
+    at a switch too, unless most switches have such a row: then the bridge is opened before it is driven.
     """
     near = settings.alike_rows
     changes = np.flatnonzero(np.diff(mode) != 0)  # between this row and the next
-    found = []
+    within: dict[int, int] = {}
+    at_switch: dict[int, int] = {}
     for a, b in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
-        if b != a + 1 or mode[a] != mode[b + 1]:
-            continue
-        row = slice(a, b + 2)
-        if np.ptp(duty_pct[row]) != 0.0 and (duty_pct[b] == 0.0 or mode[b] == DRIVE):
-            continue  # a controller that passes zero
         around = changes[(changes >= a - near) & (changes <= b + near)]
-        if len(around) == 2 and a >= near and b + near < len(mode):
-            found.append(b)
+        if b != a + 1 or len(around) - 2 > settings.switches_near or a < near or b + near >= len(mode):
+            continue
+        idle = mode[b] != DRIVE and duty_pct[b] != 0.0
+        driven = [k for k in (b + 1, a) if mode[k] == DRIVE and duty_pct[k] == duty_pct[b]]
+        if mode[a] != mode[b + 1]:
+            if idle and driven:
+                at_switch[b] = driven[0]
+        elif np.ptp(duty_pct[a : b + 2]) == 0.0 or idle:  # else a controller that passes zero
+            within[b] = a
+    if 2 * len(at_switch) > len(changes) - 2 * (len(within) + len(at_switch)):
+        at_switch = {}
+    found = {**within, **at_switch}
     settled = np.array(mode)
-    for row in found:
-        settled[row] = mode[row - 1]
-    return settled, tuple(found)
+    for row, like in found.items():
+        settled[row] = mode[like]
+    return settled, tuple(sorted(found))
 
 
 def true_times(times_s: np.ndarray, angle: np.ndarray, step_s: float, settings: StampSettings = SETTINGS) -> np.ndarray:
