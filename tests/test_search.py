@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import pytest
+
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
 from fiohost.discover.null import Null
@@ -45,6 +47,10 @@ def state(names: Sequence[str], beside: bool = False) -> State:
 
 
 class Table(Evidence[Stage]):
+    """``unsure`` is the standard error of what left-out data gain; no name is believed where all are ``doubted``."""
+
+    unsure, doubted = 1.0, False
+
     def judge(self, state: State) -> Stage:
         return Stage(state.fit)
 
@@ -58,7 +64,13 @@ class Table(Evidence[Stage]):
         return state([n for n in state_.fit.names if n != name], beside=True)
 
     def gain(self, before: State, after: State) -> Gain:
-        return Gain(before.deviance - after.deviance, 1.0, 1.0)
+        return Gain(before.deviance - after.deviance, self.unsure, 1.0)
+
+    def degenerate(self, state: State, names: Sequence[str]) -> str | None:
+        return "its size is not distinct from none" if self.doubted else None
+
+    def white(self, state: State) -> bool:
+        return True
 
 
 class Beside:
@@ -97,3 +109,13 @@ def test_a_search_ends_where_no_structure_can_explain_the_data() -> None:
     found = search.run(search.declared(Model(()), False))
     assert (found.names, found.state.deviance) == ({FIRST}, 500.0)
     assert asked == [frozenset(), {FIRST}]
+
+
+@pytest.mark.parametrize(("unsure", "white"), [(1.0, False), (1000.0, True)])
+def test_what_no_name_is_given_to_is_missing_where_left_out_data_gain_by_it(unsure: float, white: bool) -> None:
+    table = Table()
+    table.unsure, table.doubted, table.exact = unsure, True, False
+    search = Search(table, (FIRST, OTHER), lambda text: None)
+    found = search.run(search.declared(Model(()), False))
+    assert not found.names
+    assert search.white(found) is white

@@ -210,3 +210,18 @@ def test_where_the_sensor_s_counts_are_all_that_is_left_the_floor_decides(monkey
         assert state.noise.only_counts is counts
         assert windows.stage(state).follows
         assert windows.white(state) is counts
+
+
+def test_a_threshold_that_its_own_noise_hides_is_searched_in_windows_as_they_are() -> None:
+    """A shaft that starts at another time leaves in some windows what weights take for a random torque."""
+    values = {"coulomb_friction.level_pct": 4.3, "static_friction.extra_pct": 2.1}
+    truth = truth_model(("coulomb_friction", "static_friction"), values)
+    windows = WeighedWindows(suite(truth, 5, 10.0))
+    wrong = windows.settled(fit(truth.with_values({"static_friction.extra_pct": 1.0}), windows.plain, windows=True))
+    assert wrong.noise is not None
+    assert wrong.noise.torque_pct.value > 0.1
+    found = windows.finished(wrong)
+    assert found.noise is not None
+    assert found.noise.torque_pct.value < 0.02
+    assert abs(found.fit.model.number("static_friction.extra_pct") - 2.1) < 0.3
+    assert found.deviance < wrong.deviance - 1000.0

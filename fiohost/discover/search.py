@@ -218,9 +218,8 @@ class Search(Generic[J]):
         null = beside.null(children[0].state)
         whys = each(lambda c: self.objection(node, c, null), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
-        beyond = [c for c in children if c.gain > self.asked(c, null)]
-        material = any(self.evidence.immaterial(node.state, c.state) is None for c in beyond)
-        node.lacks = not accepted and material
+        beyond = [c for c in children if c.gain > self.asked(c, null)] if not accepted else []
+        node.lacks = any(self.surely(node, c) for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
@@ -228,6 +227,11 @@ class Search(Generic[J]):
         ]
         for c in accepted[: self.settings.beam]:
             yield self.grown(node, c, accepted, null.of(c.name))
+
+    def surely(self, node: Node, child: Child) -> bool:
+        """Whether left-out data gain by a candidate what is worth a name, be it this one or another."""
+        e = self.evidence
+        return e.immaterial(node.state, child.state) is None and e.gain(node.state, child.state).sure(self.settings)
 
     def asked(self, child: Child, null: Null) -> float:
         """The deviance that a candidate has to gain."""

@@ -14,12 +14,14 @@ from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import State
 from fiohost.discover.null import draw_null
 from fiohost.discover.objective import PlainWindows
+from fiohost.discover.optimise import thorough_fit
 from fiohost.discover.score import Gain, left_out, objection
 from fiohost.discover.screen import Screen
 from fiohost.discover.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.missing_torque import ruled
+from fiohost.motor.effect import effect
 from fiohost.noise.runs import NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
 
@@ -38,6 +40,16 @@ class WeighedWindows(PlainWindows):
         found = settle(fitted, self.records, self._stands, bare_first=not whitened)
         self._stands = [m.stands for m in found.moving]
         return State(found.fit, found.deviance, found.records, found.noise, found.moving, found.bare)
+
+    def finished(self, state: State) -> State:
+        """A state with its last effect's non-smooth parameters searched in windows as they are: under the noise that a
+        wrong value leaves, a shaft that starts elsewhere is hardly seen.
+        """
+        last = effect(state.fit.model.effects[-1]) if state.fit.model.effects else None
+        if last is None or last.once or not any(p.ragged for p in last.parameters):
+            return state
+        better = thorough_fit(self.as_they_are(state), last, self.plain)
+        return min(state, self.settled(better), key=lambda s: s.deviance)
 
     def screens(self, state: State) -> list[Screen]:
         # Where much is missing the noise takes up what an effect would explain: windows as they are are asked too.
