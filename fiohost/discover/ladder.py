@@ -13,6 +13,7 @@ from fiohost.discover.candidate import Progress
 from fiohost.discover.objective import PlainWindows, WholeRuns
 from fiohost.discover.optimise import chosen_again
 from fiohost.discover.search import Node, Search
+from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
 from fiohost.discover.weighed import WeighedWindows
 from fiohost.discover.whitened import drawing, noise_of
@@ -23,6 +24,8 @@ from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 
+# What only says where to look next.
+GUIDE = replace(SETTINGS, draws=SETTINGS.draws_of_a_guide)
 # Windows have a stream of draws of their own, so that no other draw depends on whether they are needed.
 NOISE_SEED = 1
 
@@ -75,7 +78,7 @@ class Ladder:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         self.say("whole runs stay unexplained: windows of 1 s")
         noise = self._noise_alone(self.root)
-        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), beside_noise=noise)
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), beside_noise=noise, settings=GUIDE)
         search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
         seen = search.run(search.declared(self.model, self.from_file))
         if seen.added and (best := self._led(seen, further=False)):
@@ -118,7 +121,7 @@ class Ladder:
         """Whether all that a model leaves in windows may be a random torque, or how runs differ: no whole run can be
         followed then.
         """
-        probe = WeighedWindows(self.train, np.random.default_rng(NOISE_SEED))
+        probe = WeighedWindows(self.train, np.random.default_rng(NOISE_SEED), GUIDE)
         found = probe.settled(fit(node.state.fit.model, probe.plain, windows=True, max_iterations=12))
         known = found.noise is not None and (found.noise.torque_known or found.noise.runs.known)
         return known and probe.white(found)

@@ -20,7 +20,7 @@ from fiohost.discover.optimise import again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Screen
-from fiohost.discover.settings import SETTINGS
+from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.whitened import drawing, plain
 from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
@@ -37,9 +37,10 @@ class Logs(Evidence[Stage]):
         train: Sequence[Record],
         rng: np.random.Generator | None = None,
         anew: bool = False,
+        settings: SearchSettings = SETTINGS,
     ) -> None:
         """``anew`` says that candidates may begin from values of their own where none comes close."""
-        super().__init__(rng)
+        super().__init__(rng, settings)
         self.train, self.anew = train, anew
         self.records, self.groups = folds(train)
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
@@ -169,9 +170,10 @@ class PlainWindows(Logs):
         rng: np.random.Generator | None = None,
         anew: bool = False,
         beside_noise: bool = False,
+        settings: SearchSettings = SETTINGS,
     ) -> None:
         """``beside_noise`` says that noise would do for all that is left: only what takes much leads on."""
-        super().__init__(train, rng, anew)
+        super().__init__(train, rng, anew, settings)
         self.least_taken = self.settings.least_of_rest if beside_noise else self.settings.least_further
         every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]

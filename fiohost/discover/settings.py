@@ -156,6 +156,8 @@ class SearchSettings:
     # Null: bootstrap samples, and the 99 % point of the largest of the library, from a Gumbel distribution of their
     # mean and spread. So many know the level to a tenth where few runs differ; 40 give from half to half as much again.
     draws: int = 120
+    # So many do where nothing is believed by them: they say where to look next.
+    draws_of_a_guide: int = 40
     gumbel_sigmas: float = 3.137
     # Refitted, an effect's shape goes where chance is best for it: it has to gain so many times what chance reaches in
     # the screen.

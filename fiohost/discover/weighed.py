@@ -17,6 +17,7 @@ from fiohost.discover.objective import PlainWindows
 from fiohost.discover.optimise import thorough_fit
 from fiohost.discover.score import Gain, left_out, objection
 from fiohost.discover.screen import Screen
+from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
@@ -29,8 +30,13 @@ from fiohost.noise.whiten import is_white, unevenness
 class WeighedWindows(PlainWindows):
     """One-second windows whitened by the noise that a structure leaves itself; ``plain`` are they as they are."""
 
-    def __init__(self, train: Sequence[Record], rng: np.random.Generator | None = None) -> None:
-        super().__init__(train, rng, anew=True)
+    def __init__(
+        self,
+        train: Sequence[Record],
+        rng: np.random.Generator | None = None,
+        settings: SearchSettings = SETTINGS,
+    ) -> None:
+        super().__init__(train, rng, anew=True, settings=settings)
         # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
         self._stands: list[np.ndarray] | None = None
         self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
