@@ -164,3 +164,13 @@ def test_of_three_runs_a_scatter_is_drawn_as_wide_as_they_leave_it_open() -> Non
     few = RunToRun(np.ones(3), np.zeros((3, 2)), {f"run {k}": np.zeros(3) for k in range(3)})
     drawn = np.array([few.likely_sd(rng) * rng.standard_normal(3) for _ in range(20000)])
     assert np.quantile(np.abs(drawn), 0.95) == pytest.approx(4.30, rel=0.05)
+
+
+def test_an_offset_that_all_runs_share_is_another_day_s_but_none_of_chance() -> None:
+    """Were it in the null too, dry friction of runs that go one way could not be told from how they differ."""
+    alike = RunToRun(
+        np.array([0.0, 0.0, 0.2]), np.zeros((3, 2)), {f"run {k}": np.array([0.0, 0.0, 1.5]) for k in range(9)}
+    )
+    assert alike.about_model[2] == pytest.approx(1.5)
+    rng = np.random.default_rng(1)
+    assert np.median([alike.likely_sd(rng)[2] for _ in range(200)]) == pytest.approx(0.2, rel=0.2)

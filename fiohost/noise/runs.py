@@ -68,9 +68,11 @@ class RunToRun:
         return np.where(self.sd > 0.0, np.maximum(self.sd, rms), 0.0)
 
     def likely_sd(self, rng: np.random.Generator) -> np.ndarray:
-        """``about_model`` (3) as it may be, one draw: few runs say little of how they scatter (Student 1908)."""
+        """``sd`` (3) as it may be, one draw: few runs say little of how they scatter (Student 1908). What they have in
+        common is what an effect would explain: chance has none of it.
+        """
         free = max(len(self.by_run) - 1, 1)
-        return np.asarray(self.about_model * np.sqrt(free / rng.chisquare(free, len(self.sd))))
+        return np.asarray(self.sd * np.sqrt(free / rng.chisquare(free, len(self.sd))))
 
 
 NO_SCATTER = RunToRun(np.zeros(3), np.zeros((3, 2)))
