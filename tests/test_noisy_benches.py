@@ -109,7 +109,7 @@ def test_an_interval_wider_than_its_value_is_not_believed(stages: tuple[Stage, S
         m.with_values({"linear.gain_deg_s_per_pct": float(g)})
         for m, g in zip(after.scattered_models, gains, strict=True)
     ]
-    assert "anywhere in" in str(degenerate(before, replace(after, scattered_models=tuple(models))))
+    assert "anywhere in" in str(degenerate(before, replace(after, scatter=lambda: models)))
 
 
 def test_a_floor_above_the_error_is_not_believed(stages: tuple[Stage, Stage]) -> None:

@@ -77,15 +77,23 @@ class Ladder:
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         self.say("whole runs stay unexplained: windows of 1 s")
-        noise = self._noise_alone(self.root)
-        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), beside_noise=noise, settings=GUIDE)
-        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
-        seen = search.run(search.declared(self.model, self.from_file))
-        if seen.added and (best := self._led(seen, further=False)):
+        search, seen = self._plainly(curves=False)
+        best = self._led(seen, further=False) if seen.added else None
+        if not best and any(effects()[n].points for n in self.shown):
+            self.say("once more, with general curves over the angle")
+            _, curved = self._plainly(curves=True)
+            best = self._led(curved, further=False) if curved.names - seen.names else None
+        if best:
             return self.whole.found(self.root, best)
         # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
         # asked for.
-        return self._anew() if search.white(seen) or not (seen.added or noise) else None
+        return self._anew() if search.white(seen) or not (seen.added or self._noise_alone(self.root)) else None
+
+    def _plainly(self, curves: bool) -> tuple[Search[Stage], Node]:
+        """A search by windows as they are, and what it comes to."""
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), curves=curves, settings=GUIDE)
+        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
+        return search, search.run(search.declared(self.model, self.from_file))
 
     def _by_weighed_windows(self) -> Found[Stage]:
         """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""

@@ -68,7 +68,9 @@ def draw_null(
     owner = np.array([i for i, s in enumerate(scores) for _ in s.directions], dtype=int)
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
     basis = np.concatenate(columns, axis=1)
-    ends = np.cumsum([d.basis.shape[1] for d in directions])
+    widths = np.array([d.basis.shape[1] for d in directions], dtype=int)
+    begins = np.cumsum(widths) - widths
+    several = [i for i, d in enumerate(directions) if d.weights.shape[1] > 1]
     edges, replicas = [r.edges for r in records], replicas_of(fitted, records, anywhere=True)
     # The screen takes samples together: its powers are by so much below squared errors.
     block = float(np.mean([max(1, round(settings.screen.resolution_s / r.sample_time_s)) for r in records]))
@@ -81,9 +83,12 @@ def draw_null(
         errors = replica_errors(fitted, replicas, rng, open_noise=not asked, open_runs=asked)
         cleaned = screen.clean(errors).astype(np.float32)
         along = bounded.along(cleaned) if bounded else cleaned @ basis
-        parts = zip(np.split(along[None, :], ends[:-1], axis=1)[: len(directions)], directions, strict=True)
-        found = np.array([float(powers(p, d.weights)[0]) for p, d in parts])
-        own = np.array([found[owner == i].max(initial=0.0) for i in range(len(scores))])
+        found, own = np.zeros(len(directions)), np.zeros(len(scores))
+        if directions:
+            found = np.add.reduceat(along**2, begins, dtype=np.float64)
+        for i in several:
+            found[i] = powers(along[None, begins[i] : begins[i] + widths[i]], directions[i].weights)[0]
+        np.maximum.at(own, owner, found)
         variance = 1.0 if fitted.windows else float(np.mean(np.concatenate(errors) ** 2))
         return block * own / max(variance, 1e-300), unevenness(errors, edges) if fitted.windows else 0.0
 

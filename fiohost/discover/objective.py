@@ -32,6 +32,8 @@ from fiohost.motor.model import Model
 class Logs(Evidence[Stage]):
     """Training records, or pieces of them where they are few, as they are fitted."""
 
+    curves = True
+
     def __init__(
         self,
         train: Sequence[Record],
@@ -43,6 +45,8 @@ class Logs(Evidence[Stage]):
         super().__init__(rng, settings)
         self.train, self.anew = train, anew
         self.records, self.groups = folds(train)
+        # Every structure is judged by the same draws: no luck between two, nor by the way that a search took.
+        self._judging = int(self.rng.integers(2**32))
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
 
     @property
@@ -74,9 +78,18 @@ class Logs(Evidence[Stage]):
         """The error that whole runs of a state could reach."""
         return self.stage(state).floor_rms
 
+    @property
+    def most_of_counts(self) -> float:
+        """The highest error of a fit that leaves nothing but the rounding to counts."""
+        return self.settings.finished * max(r.quantum for r in self.records) / float(np.sqrt(12.0))
+
+    def reached(self, fitted: Fit, floor_rms: float) -> bool:
+        """Whether a fit comes to a floor, below which no other structure leads."""
+        return fitted.rms <= self.settings.finished * floor_rms
+
     def judge(self, state: State) -> Stage:
         train = drawing(self.train, state.noise) if state.noise else self.train
-        return judged(state.fit, state.records, train, self.rng)
+        return judged(state.fit, state.records, train, np.random.default_rng(self._judging))
 
     def declared(self, model: Model, from_file: bool) -> State:
         return self.settled(fit_from_scratch(model, self.records, keep_start=from_file, windows=not self.exact))
@@ -130,8 +143,7 @@ class WholeRuns(Logs):
 
     def only_counts(self, state: State) -> bool:
         """Whether nothing but the rounding to counts is left: no other structure could leave less."""
-        counts = max(r.quantum for r in self.records) / float(np.sqrt(12.0))
-        return state.fit.rms <= self.settings.finished * counts
+        return state.fit.rms <= self.most_of_counts
 
     def finished(self, state: State) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
@@ -169,19 +181,24 @@ class PlainWindows(Logs):
         train: Sequence[Record],
         rng: np.random.Generator | None = None,
         anew: bool = False,
-        beside_noise: bool = False,
+        curves: bool = False,
         settings: SearchSettings = SETTINGS,
     ) -> None:
-        """``beside_noise`` says that noise would do for all that is left: only what takes much leads on."""
+        """``curves`` says that general ones are asked for too: windows of a true one lead whole runs there."""
         super().__init__(train, rng, anew, settings)
-        self.least_taken = self.settings.least_of_rest if beside_noise else self.settings.least_further
-        every = -(-sum(len(r.windows) - 1 for r in self.records) // SETTINGS.most_windows)
+        self.curves = curves
+        every = -(-sum(len(r.windows) - 1 for r in self.records) // self.settings.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)
 
     @property
     def margin(self) -> float:
         return self.settings.margin_in_windows
+
+    @property
+    def least_taken(self) -> float:
+        """The least share of what windows leave that leads on: noise might do for less."""
+        return self.settings.least_of_rest
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         return State(fitted, deviance_of(fitted), tuple(self.plain))
@@ -191,6 +208,9 @@ class PlainWindows(Logs):
 
     def floor_rms(self, state: State) -> float:
         return float("inf")
+
+    def reached(self, fitted: Fit, floor_rms: float) -> bool:
+        return fitted.rms <= self.most_of_counts
 
     def as_they_are(self, state: State) -> Fit:
         """A state's model fitted to windows as they are."""

@@ -26,6 +26,8 @@ class Logs(Protocol):
     """What is asked of the logs' evidence."""
 
     exact: bool
+    # Whether general curves over the angle are asked for.
+    curves: bool
     # Whether candidates may begin from values of their own where none comes close.
     anew: bool
     settings: SearchSettings
@@ -50,6 +52,9 @@ class Logs(Protocol):
     def floor_rms(self, state: State) -> float:
         """The error that whole runs of a state could reach; infinite where none is known."""
 
+    def reached(self, fitted: Fit, floor_rms: float) -> bool:
+        """Whether a fit comes to a floor, below which no other structure leads."""
+
 
 class Job(NamedTuple):
     """A scored effect, and what it is refitted beside."""
@@ -73,8 +78,7 @@ class LogsBeside:
 
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
         offered = candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span)
-        # Beside noise all points of a curve take up a tenth of any slow torque.
-        return [e for e in offered if self.logs.exact or not e.points], []
+        return [e for e in offered if self.logs.curves or not e.points], []
 
     def refitted(
         self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None
@@ -85,6 +89,7 @@ class LogsBeside:
         jobs = self.worth()
         say(f"refitting {len({job.name for job in jobs})} of them")
         rough = self.rough(jobs, floor, rival)
+        jobs = jobs[: len(rough)]
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
             say("whole runs are far from the floor with every effect")
             if rival or not self.logs.anew:
@@ -201,14 +206,29 @@ class LogsBeside:
         return jobs
 
     def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> list[Fit]:
-        """Rough fits without their arrays: of a long log, those of all candidates would fill the memory. Beside one
-        that is at the floor, be it the ``rival``, others go on only where they may come near it.
+        """Rough fits of jobs, without their arrays: of a long log, those of all would fill the memory. The best scores
+        come first; the jobs after them are not fitted where one of these, or the ``rival``, is at the floor, nor where
+        all of them are far from it.
         """
+        s, found = self.logs.settings, list[Fit]()
+        for some in (jobs[: s.least_refitted], jobs[s.least_refitted :]):
+            found += self._some_rough(some, floor, rival, found) if some else []
+            far = self.logs.exact and min(f.rms for f in found) > s.lost * floor
+            if far or self._at_floor(found, floor, rival):
+                break
+        return found
+
+    def _at_floor(self, fits: Sequence[Fit], floor: float, rival: State | None) -> bool:
+        """Whether one of some fits is at the floor; a rival in whole runs is there, or it would be none."""
+        return (self.logs.exact and rival is not None) or any(self.logs.reached(f, floor) for f in fits)
+
+    def _some_rough(self, jobs: Sequence[Job], floor: float, rival: State | None, others: Sequence[Fit]) -> list[Fit]:
+        """Rough fits of some jobs; beside one that is at the floor they go on only where they may come near it."""
         s = self.logs.settings
         ahead = each(lambda job: list(map(_bare, begun(job.base, job.score, job.records))), jobs)
-        best = min((*(f for fits in ahead for f in fits), *([rival.fit] if rival else [])), key=lambda f: f.cost)
-        at_floor = self.logs.exact and best.rms <= s.finished * floor
-        most = s.hopeless**2 * best.cost if at_floor else np.inf
+        seen = [*(f for fits in ahead for f in fits), *others]
+        at_floor = self.logs.exact and self._at_floor(seen, floor, rival)
+        most = s.hopeless**2 * min(f.cost for f in [*seen, *([rival.fit] if rival else [])]) if at_floor else np.inf
 
         def go_on(i: int) -> Fit:
             job, near = jobs[i], [f for f in ahead[i] if f.cost <= most]

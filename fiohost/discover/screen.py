@@ -149,7 +149,8 @@ class Screen:
         found = []
         for values, n in zip(series, self._blocks, strict=True):
             count = len(values) // n
-            found.append(values[: count * n].reshape(count, n, *values.shape[1:]).mean(axis=1) if n > 1 else values)
+            blocks = values[: count * n].reshape(count, n, *values.shape[1:])
+            found.append(np.einsum("ij...->i...", blocks) / n if n > 1 else values)
         return found
 
     def window_edges(self) -> np.ndarray:

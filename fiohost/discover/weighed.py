@@ -36,11 +36,16 @@ class WeighedWindows(PlainWindows):
         rng: np.random.Generator | None = None,
         settings: SearchSettings = SETTINGS,
     ) -> None:
+        # Beside noise all points of a curve take up a tenth of any slow torque: they are not asked for.
         super().__init__(train, rng, anew=True, settings=settings)
         # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
         self._stands: list[np.ndarray] | None = None
         self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
         self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
+
+    @property
+    def least_taken(self) -> float:
+        return self.settings.least_further
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         found = settle(fitted, self.records, self._stands, bare_first=not whitened)
@@ -108,6 +113,9 @@ class WeighedWindows(PlainWindows):
             at_floor = state.noise is not None and state.noise.only_counts and self.stage(state).follows
             self._white[state] = at_floor or self._looks_white(state)
         return self._white[state]
+
+    def reached(self, fitted: Fit, floor_rms: float) -> bool:
+        return False  # what noise leaves is not known before the model is
 
     def no_noise(self, state: State) -> bool:
         return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct

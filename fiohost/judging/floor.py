@@ -108,9 +108,16 @@ def replica_errors(
 
 
 def replica_floor(
-    record: Record, model: Model, judgement: Judgement, models: Sequence[Model], rng: np.random.Generator
+    record: Record,
+    model: Model,
+    judgement: Judgement,
+    models: Sequence[Model],
+    rng: np.random.Generator,
+    before: tuple[Judgement, ...] = (),
 ) -> Floor:
-    """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it."""
+    """Floor of a record: replicas of the judged model, each judged by the model that would be fitted to it; and those
+    drawn ``before``.
+    """
     start, none = judgement.start, np.empty(0)
     replicas = Replicas(record, model, start, judgement.free_residual)
 
@@ -120,7 +127,7 @@ def replica_floor(
         found = judge(record, judged_by, replicas.draw(rng, other), near=start)
         return replace(found, simulated=none, free_residual=none, window_residual=none)
 
-    draws = tuple(draw(m) for m in models)
+    draws = (*before, *(draw(m) for m in models))
     return Floor(_mean([d.errors for d in draws]), "replicas", draws)
 
 
@@ -154,10 +161,17 @@ def floors(
     judgements: Sequence[Judgement],
     models: Sequence[Model],
     rng: np.random.Generator,
+    before: Sequence[Floor] = (),
 ) -> list[Floor]:
-    """Floors of records by replicas of a model, as judged by ``models``; the scatter of repeats counts where larger."""
-    draws = rng.spawn(len(records))
-    found = each(lambda i: replica_floor(records[i], model, judgements[i], models, draws[i]), range(len(records)))
+    """Floors of records by replicas of a model, as judged by ``models``, and by those of floors ``before`` these; the
+    scatter of repeats counts where larger.
+    """
+    rngs, earlier = rng.spawn(len(records)), [f.draws for f in before] or [()] * len(records)
+
+    def one(i: int) -> Floor:
+        return replica_floor(records[i], model, judgements[i], models, rngs[i], earlier[i])
+
+    found = each(one, range(len(records)))
     for group in repeats(records):
         free, windows = scatter([judgements[i].free_residual for i in group], records[group[0]].windows)
         for i in group:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from fiohost.estimation.record import ANGLE, Record
 from fiohost.judging.floor import Floor, floors, replica_models
 from fiohost.judging.metrics import Errors, Judgement, judge, pool
 from fiohost.judging.settings import FLOOR
-from fiohost.judging.verdict import Excess, at_floor, excesses, near_limit, no_matter
+from fiohost.judging.verdict import Excess, at_floor, excesses, far_above, near_limit, no_matter
 from fiohost.motor.model import Model
 from fiohost.workers import each
 
@@ -21,18 +22,21 @@ from fiohost.workers import each
 class Stage:
     """A fitted model with its judgements on the training records.
 
-    ``replica_models`` are what would have been fitted to replicas of the data: they carry the error of estimation.
-    ``scattered_models`` likewise, from benches whose shafts stand elsewhere within their counts: for intervals.
+    ``scatter`` fits models to replicas of the data, from benches whose shafts stand elsewhere within their counts.
     ``motion_rms`` is that of the output in one-second windows, of an angle about its mean.
     """
 
     fit: Fit
-    replica_models: tuple[Model, ...]
-    scattered_models: tuple[Model, ...]
+    scatter: Callable[[], Sequence[Model]]
     judgements: tuple[Judgement, ...]
     floors: tuple[Floor, ...]
     excesses: tuple[Excess, ...]
     motion_rms: float = float("inf")
+
+    @cached_property
+    def scattered_models(self) -> tuple[Model, ...]:
+        """What would have been fitted to replicas of the data: they carry the error of estimation, for intervals."""
+        return tuple(self.scatter())
 
     @property
     def left_pct(self) -> float:
@@ -94,30 +98,31 @@ class Stage:
 
 
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
-    """Judge a fit on whole records; it may have been fitted to pieces of them."""
+    """Judge a fit on whole records; it may have been fitted to pieces of them.
+
+    Replicas are drawn until they can say no more: few where the fit stands far above all that they reach, many where it
+    stands just above their highest.
+    """
     whole = not fitted.windows and len(fitted.starts) == len(records)
     starts = fitted.starts if whole else [None] * len(records)
     judgements = each(lambda i: judge(records[i], fitted.model, fitted=starts[i]), range(len(records)))
-    models = replica_models(fitted, fitted_records, rng)
-    found = floors(records, fitted.model, judgements, models, rng)
-    above = excesses(records, judgements, found)
-    near = near_limit(above)
-    scattered = replica_models(
-        fitted, fitted_records, rng, FLOOR.more_replicas if near else FLOOR.replicas, anywhere=True
-    )
-    if near:
+
+    def scatter(count: int = FLOOR.replicas, anywhere: bool = True) -> list[Model]:
+        return replica_models(fitted, fitted_records, rng, count, anywhere=anywhere)
+
+    def drawn(models: Sequence[Model], before: Sequence[Floor] = ()) -> tuple[list[Floor], list[Excess]]:
+        found = floors(records, fitted.model, judgements, models, rng, before)
+        return found, excesses(records, judgements, found)
+
+    found, above = drawn(scatter(FLOOR.few, anywhere=False))
+    if not far_above(above):
+        found, above = drawn(scatter(FLOOR.replicas - FLOOR.few, anywhere=False), found)
+    for _ in range(FLOOR.more_replicas // FLOOR.replicas):
+        if no_matter(above) or not near_limit(above):
+            break
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
-        found = floors(records, fitted.model, judgements, [*models, *scattered], rng)
-        above = excesses(records, judgements, found)
-    return Stage(
-        fitted,
-        tuple(models),
-        tuple(scattered[: FLOOR.replicas]),
-        tuple(judgements),
-        tuple(found),
-        tuple(above),
-        motion_rms(records),
-    )
+        found, above = drawn(scatter(), found)
+    return Stage(fitted, scatter, tuple(judgements), tuple(found), tuple(above), motion_rms(records))
 
 
 def motion_rms(records: Sequence[Record]) -> float:

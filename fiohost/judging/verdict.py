@@ -70,6 +70,11 @@ def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors:
     return found
 
 
+def far_above(found: Sequence[Excess]) -> bool:
+    """Whether something stands so far above what is allowed that no more replicas will say otherwise."""
+    return any(e.value > VERDICT.near * e.allowed for e in found)
+
+
 def near_limit(found: Sequence[Excess]) -> bool:
     """Whether all that stands above its limit stands so little above it that more replicas may say otherwise."""
     above = [e for e in found if e.exceeded]

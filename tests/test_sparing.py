@@ -1,0 +1,76 @@
+"""What a search spares itself where it would change nothing, and what it asks for when nothing else is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from bench_data import suite, truth_model
+
+from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.objective import WholeRuns
+from fiohost.discover.refit import Job
+from fiohost.discover.screen import Screen
+from fiohost.estimation.fit import fit_from_scratch
+from fiohost.judging.settings import FLOOR
+from fiohost.judging.stage import Stage
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
+
+DECLARED = Model.parse("linear+coulomb_friction")
+# Of load over the angle, percent of duty at the second to the twelfth of twelve places on a turn: by its size no whole
+# run keeps to the angle of one without it.
+CURVE_PCT = (-0.24, 0.38, 2.14, 3.43, 2.74, 0.94, -0.54, -1.71, -2.71, -2.66, -1.41)
+
+
+def drawn(stage: Stage) -> list[int]:
+    """How many replicas judged each record."""
+    return [len(f.draws) for f in stage.floors]
+
+
+def test_replicas_are_drawn_until_they_can_say_no_more() -> None:
+    records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.03}), 4)
+    lacking, full = (
+        fit_from_scratch(Model.parse(m), records)
+        for m in ("linear+coulomb_friction", "linear+coulomb_friction+transport_delay")
+    )
+    runs = WholeRuns(records, np.random.default_rng(3))
+    away, there = runs.settled(lacking), runs.settled(full)
+    assert not runs.stage(away).follows
+    assert drawn(runs.stage(away)) == [FLOOR.few] * 4
+    assert runs.stage(there).at_floor
+    assert drawn(runs.stage(there)) == [FLOOR.replicas] * 4
+
+
+def test_every_structure_is_judged_by_the_same_draws() -> None:
+    """Whatever was judged before it: else what is found would hang on the way that a search took."""
+    records = suite(truth_model(), 4)
+    fitted = fit_from_scratch(DECLARED, records)
+    first, second = WholeRuns(records, np.random.default_rng(3)), WholeRuns(records, np.random.default_rng(3))
+    second.stage(second.settled(fit_from_scratch(Model.parse("linear"), records)))
+    one, other = first.stage(first.settled(fitted)), second.stage(second.settled(fitted))
+    assert one.excesses == other.excesses
+    assert one.scattered_models == other.scattered_models
+
+
+def test_the_best_scores_are_enough_where_one_of_them_is_at_the_floor() -> None:
+    records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.008}), 4)
+    runs = WholeRuns(records)
+    state = runs.declared(DECLARED, False)
+    beside, floor = runs.beside(state), runs.floor_rms(state)
+    names = ("duty_curve", "viscous_friction", "constant_load", "transport_delay", "supply_sag", "quadratic_drag")
+    screen = Screen(state.fit, records)
+    jobs = [Job(screen.score(effect(n)), state.fit, records) for n in names]
+    assert len(beside.rough(jobs, floor)) == runs.settings.least_refitted
+    without = [job for job in jobs if job.name != "transport_delay"]
+    assert len(beside.rough(without, floor)) == len(without)
+
+
+def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> None:
+    values = {f"load_over_position.point_{i}_pct": 1.5 * x for i, x in enumerate(CURVE_PCT, 1)}
+    records = suite(truth_model(("coulomb_friction", "load_over_position"), values), 11, 24.0)
+    said: list[str] = []
+    library = ["load_over_position", "gravity_load"]
+    found = diagnose_records(records, (), DECLARED, library=library, say=said.append)
+    assert [s.effect for s in found.steps] == ["load_over_position"], said
+    assert found.verdict == "explained"
+    assert "once more, with general curves over the angle" in said
+    assert not any("anew" in text or "noise" in text for text in said), said
