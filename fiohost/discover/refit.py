@@ -195,8 +195,9 @@ class LogsBeside:
         jobs = []
         for screen, scores in zip(self.screens, self.ranked, strict=True):
             most = s.refitted_in_windows if windows else s.refitted
-            worth = [x for x in scores[:most] if x.share > s.worth * scores[0].share]
-            worth = list(scores[: max(len(worth), s.least_refitted)])
+            begun = [x for x in scores if x.trials]
+            worth = [x for x in begun[:most] if x.share > s.worth * scores[0].share]
+            worth = begun[: max(len(worth), s.least_refitted)]
             # Around windows as another model begins them, signatures say nothing of what warms or of an end of travel;
             # and little of dry friction, which every drive has, once the gain has taken it up.
             unseen = [x for x in scores if x.effect.unseen_in_windows or x.effect.everywhere] if windows else []

@@ -281,15 +281,19 @@ class Screen:
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         grown = bool(effect.couples or effect.points)  # a trial as the library has it says nothing of their shape
         starts: list[tuple[Trial, Trial]] = []
+        # No few steps lead back from a trial that leaves far more than there was, the model's own parameters beside it.
+        far = [self.fit.windows and d.as_it_is < -SETTINGS.hopeless for d in found]
         # What swings often has other orders that do nearly as much: no gradient leads from one to the next.
         tied = sum(grown and d.share >= SCREEN.tied * found[order[0]].share for d in found)
         for i in varied(effect, trials, order)[: max(SCREEN.best_trials, tied)]:
-            starts.append((found[i].trial, found[i].own))
-            if not grown and found[i].trial != trials[i]:
+            scaled = grown or found[i].trial != trials[i]
+            if scaled or not far[i]:
+                starts.append((found[i].trial, found[i].own))
+            if scaled and not (grown or far[i]):
                 starts.append((trials[i], {}))
         share = found[order[0]].share if found else 0.0
         by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
-        raw = () if grown else tuple(trials[i] for i in by_size)
+        raw = () if grown else tuple(trials[i] for i in by_size if not far[i])
         begun, own = zip(*starts, strict=True) if starts else ((), ())
         return Score(effect, share, begun, tuple(found[i] for i in order), raw, own)
 
