@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from bench_data import suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.objective import WholeRuns
+from fiohost.discover.evidence import State
+from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
 from fiohost.discover.refit import Job
-from fiohost.discover.screen import Screen
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.judging.settings import FLOOR
 from fiohost.judging.stage import Stage
@@ -51,17 +54,24 @@ def test_every_structure_is_judged_by_the_same_draws() -> None:
     assert one.scattered_models == other.scattered_models
 
 
-def test_the_best_scores_are_enough_where_one_of_them_is_at_the_floor() -> None:
+def test_the_best_scores_are_enough_where_more_would_change_nothing() -> None:
+    """Not beside one at the floor of whole runs: the data may not tell the others from it."""
     records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.008}), 4)
-    runs = WholeRuns(records)
-    state = runs.declared(DECLARED, False)
-    beside, floor = runs.beside(state), runs.floor_rms(state)
-    names = ("duty_curve", "viscous_friction", "constant_load", "transport_delay", "supply_sag", "quadratic_drag")
-    screen = Screen(state.fit, records)
-    jobs = [Job(screen.score(effect(n)), state.fit, records) for n in names]
-    assert len(beside.rough(jobs, floor)) == runs.settings.least_refitted
-    without = [job for job in jobs if job.name != "transport_delay"]
-    assert len(beside.rough(without, floor)) == len(without)
+    names = ("transport_delay", "viscous_friction", "constant_load", "duty_curve", "supply_sag", "quadratic_drag")
+    enough = SETTINGS.least_refitted
+
+    def rough(logs: Logs, few: Sequence[str], rival: State | None = None) -> int:
+        state = logs.declared(DECLARED, False)
+        (screen,) = logs.screens(state)
+        jobs = [Job(screen.score(effect(n)), state.fit, screen.records) for n in few]
+        return len(logs.beside(state).rough(jobs, logs.floor_rms(state), rival))
+
+    runs, windows = WholeRuns(records), PlainWindows(records)
+    assert rough(runs, names) == len(names)
+    full = runs.settled(fit_from_scratch(DECLARED.with_effect("transport_delay", {"delay_s": 0.008}), records))
+    assert rough(runs, names, full) == enough
+    assert rough(windows, names) == enough
+    assert rough(windows, names[1:]) == len(names) - 1
 
 
 def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> None:

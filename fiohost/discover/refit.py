@@ -34,6 +34,10 @@ class Logs(Protocol):
     rng: np.random.Generator
     records: list[Record]
 
+    @property
+    def few(self) -> bool:
+        """Whether there are fewer than three experiments."""
+
     def screens(self, state: State) -> list[Screen]:
         """Around which fits the library is scored."""
 
@@ -208,28 +212,30 @@ class LogsBeside:
 
     def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> list[Fit]:
         """Rough fits of jobs, without their arrays: of a long log, those of all would fill the memory. The best scores
-        come first; the jobs after them are not fitted where one of these, or the ``rival``, is at the floor, nor where
-        all of them are far from it.
+        come first. They are enough where whole runs have a ``rival`` or are far from the floor with all of them, but
+        for few experiments, which many effects may explain; and where windows, by which nothing is believed, reach it.
         """
         s, found = self.logs.settings, list[Fit]()
         for some in (jobs[: s.least_refitted], jobs[s.least_refitted :]):
             found += self._some_rough(some, floor, rival, found) if some else []
-            far = self.logs.exact and min(f.rms for f in found) > s.lost * floor
-            if far or self._at_floor(found, floor, rival):
+            if self.logs.exact:
+                far = min(f.rms for f in found) > s.lost * floor
+                enough = (rival is not None or far) and not self.logs.few
+            else:
+                enough = any(self.logs.reached(f, floor) for f in found)
+            if enough:
                 break
         return found
-
-    def _at_floor(self, fits: Sequence[Fit], floor: float, rival: State | None) -> bool:
-        """Whether one of some fits is at the floor; a rival in whole runs is there, or it would be none."""
-        return (self.logs.exact and rival is not None) or any(self.logs.reached(f, floor) for f in fits)
 
     def _some_rough(self, jobs: Sequence[Job], floor: float, rival: State | None, others: Sequence[Fit]) -> list[Fit]:
         """Rough fits of some jobs; beside one that is at the floor they go on only where they may come near it."""
         s = self.logs.settings
         ahead = each(lambda job: list(map(_bare, begun(job.base, job.score, job.records))), jobs)
-        seen = [*(f for fits in ahead for f in fits), *others]
-        at_floor = self.logs.exact and self._at_floor(seen, floor, rival)
-        most = s.hopeless**2 * min(f.cost for f in [*seen, *([rival.fit] if rival else [])]) if at_floor else np.inf
+        seen = [*(f for fits in ahead for f in fits), *others, *([rival.fit] if rival else [])]
+        best = min(seen, key=lambda f: f.cost)
+        # A rival in whole runs is at the floor, or it would be none.
+        at_floor = self.logs.exact and (rival is not None or self.logs.reached(best, floor))
+        most = s.hopeless**2 * best.cost if at_floor else np.inf
 
         def go_on(i: int) -> Fit:
             job, near = jobs[i], [f for f in ahead[i] if f.cost <= most]
