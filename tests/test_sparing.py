@@ -17,6 +17,7 @@ from fiohost.judging.settings import FLOOR
 from fiohost.judging.stage import Stage
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
+from fiohost.noise.runs import Pull, estimate_runs
 
 DECLARED = Model.parse("linear+coulomb_friction")
 # Of load over the angle, percent of duty at the second to the twelfth of twelve places on a turn: by its size no whole
@@ -84,3 +85,14 @@ def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> N
     assert found.verdict == "explained"
     assert "once more, with general curves over the angle" in said
     assert not any("anew" in text or "noise" in text for text in said), said
+
+
+def test_of_a_model_that_runs_away_it_is_not_known_how_runs_differ() -> None:
+    """Its derivatives overflow where its error just does not; no eigenvalue of them is found."""
+    rng = np.random.default_rng(1)
+    columns = [rng.standard_normal((200, 3)) for _ in range(4)]
+    offsets = (np.array([0.0, 0.0, x]) for x in (-3.0, -1.0, 1.0, 3.0))
+    pulls = {str(i): Pull(by.T @ by, by.T @ (by @ x)) for i, (by, x) in enumerate(zip(columns, offsets, strict=True))}
+    assert estimate_runs(pulls).known
+    for away in (np.inf, np.nan):
+        assert not estimate_runs(pulls | {"1": Pull(np.full((3, 3), away), np.full(3, away))}).known

@@ -135,7 +135,8 @@ def around_runs(
         by = run_columns(near, found.model, start) / growth(values)
         left = windowed(near, flat, start)[0] + by @ values
         columns.append(by)
-        pulls[name] = pulls.get(name, NO_PULL) + Pull(by.T @ by, by.T @ left)
+        with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away
+            pulls[name] = pulls.get(name, NO_PULL) + Pull(by.T @ by, by.T @ left)
     return columns, pulls
 
 

@@ -143,10 +143,13 @@ def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
 
 
 def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
-    """Scatter over runs from how they pull; none of fewer than three runs, or where chance would do."""
-    if len(pulls) < settings.least_runs:
-        return NO_SCATTER
+    """Scatter over runs from how they pull; none of fewer than three runs, of a model that runs away in one, or where
+    chance would do.
+    """
     parts = list(pulls.values())
+    finite = all(np.isfinite(pull.information).all() and np.isfinite(pull.score).all() for pull in parts)
+    if len(pulls) < settings.least_runs or not finite:
+        return NO_SCATTER
     grids = [np.concatenate(([0.0], np.geomspace(low, high, settings.run_looks))) for low, high in settings.run_spans]
     # What moves runs alike can stand for each other, so that one after the other may end beside the best of all three.
     few = [grid[:: settings.run_coarse] for grid in grids]
