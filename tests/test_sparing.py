@@ -10,6 +10,7 @@ from bench_data import suite, truth_model
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
 from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
+from fiohost.discover.optimise import fits_anew
 from fiohost.discover.refit import Job
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import fit_from_scratch
@@ -96,3 +97,13 @@ def test_of_a_model_that_runs_away_it_is_not_known_how_runs_differ() -> None:
     assert estimate_runs(pulls).known
     for away in (np.inf, np.nan):
         assert not estimate_runs(pulls | {"1": Pull(np.full((3, 3), away), np.full(3, away))}).known
+
+
+def test_windows_begin_no_refit_far_away_but_it_may_begin_anew() -> None:
+    windows = PlainWindows(suite(truth_model(), 4, 8.0))
+    state = windows.declared(DECLARED, False)
+    (screen,) = windows.screens(state)
+    score = screen.score(effect("fast_decay"))
+    assert (score.trials, score.far) == ((), effect("fast_decay").trials)
+    assert windows.beside(state).refitted([effect("fast_decay")], lambda text: None) == []
+    assert len(fits_anew(screen.fit, [score], screen.records, 1)) == 1

@@ -98,7 +98,8 @@ def _beginnings(base: Fit, score: Score, records: Sequence[Record]) -> list[Mode
     or as least squares have them beside it; of what swings at all that score well, as no gradient leads from one order
     to the next. In windows, which are nearly convex, scores say what is left.
     """
-    of, trials = score.effect, [*score.trials, *(t for t in score.raw if t not in score.trials)]
+    others = (t for t in score.raw if t not in score.trials and t not in score.far)
+    of, trials = score.effect, [*score.trials, *others]
     owns: list[Trial] = [*score.own, *({} for _ in trials[len(score.own) :])]
 
     def model(i: int, own: Trial) -> Model:
@@ -106,7 +107,7 @@ def _beginnings(base: Fit, score: Score, records: Sequence[Record]) -> list[Mode
         return added.with_values({n: v for n, v in own.items() if n in added.values})
 
     if base.windows:
-        best_first = dict.fromkeys((0, *(trials.index(t) for t in score.raw[:1]), *range(len(trials))))
+        best_first = dict.fromkeys((0, *(trials.index(t) for t in score.raw[:1] if t in trials), *range(len(trials))))
         return [model(i, {}) for i in best_first if i < len(trials)][: OPTIMISER.window_starts]
     ways = [[model(i, own) for own in ({}, owns[i])[: 1 + bool(owns[i])]] for i in range(len(trials))]
     costs = [[_plain_cost(base, m, records) for m in models] for models in ways]

@@ -54,7 +54,8 @@ class Score:
     """One effect against the residual: its directions, best first, and the trials from which to refit it.
 
     ``raw`` are the trials as the library gives them, the best first: a size that grows from nothing says little of an
-    effect whose other parameters shape it. ``own`` are the model's own parameters beside each of ``trials``.
+    effect whose other parameters shape it. ``own`` are the model's own parameters beside each of ``trials``. Those that
+    are ``far`` leave so much more than there was that no few steps in windows lead back from them.
     """
 
     effect: Effect
@@ -63,6 +64,7 @@ class Score:
     directions: tuple[Direction, ...]
     raw: tuple[Trial, ...] = ()
     own: tuple[Trial, ...] = ()
+    far: tuple[Trial, ...] = ()
 
 
 def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None, span: Span) -> list[Effect]:
@@ -281,7 +283,6 @@ class Screen:
         order = sorted(range(len(found)), key=lambda i: found[i].share, reverse=True)
         grown = bool(effect.couples or effect.points)  # a trial as the library has it says nothing of their shape
         starts: list[tuple[Trial, Trial]] = []
-        # No few steps lead back from a trial that leaves far more than there was, the model's own parameters beside it.
         far = [self.fit.windows and d.as_it_is < -SETTINGS.hopeless for d in found]
         # What swings often has other orders that do nearly as much: no gradient leads from one to the next.
         tied = sum(grown and d.share >= SCREEN.tied * found[order[0]].share for d in found)
@@ -293,9 +294,10 @@ class Screen:
                 starts.append((trials[i], {}))
         share = found[order[0]].share if found else 0.0
         by_size = sorted(range(len(found)), key=lambda i: found[i].as_it_is, reverse=True)
-        raw = () if grown else tuple(trials[i] for i in by_size if not far[i])
+        raw = () if grown else tuple(trials[i] for i in by_size)
         begun, own = zip(*starts, strict=True) if starts else ((), ())
-        return Score(effect, share, begun, tuple(found[i] for i in order), raw, own)
+        away = tuple(t for t, is_far in zip(trials, far, strict=True) if is_far)
+        return Score(effect, share, begun, tuple(found[i] for i in order), raw, own, away)
 
 
 def powers(along: np.ndarray, weights: np.ndarray) -> np.ndarray:
