@@ -139,4 +139,4 @@ class WeighedWindows(PlainWindows):
         own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
         records = drawing(self.train, replace(noise, runs=NO_SCATTER))
         starts, s = [j.start for j in stage.judgements], self.settings
-        return ruled(records, own, estimates, starts, self.rng, s.follows, s.gumbel_sigmas)
+        return ruled(records, own, estimates, starts, self.rng, noise, s.follows, s.gumbel_sigmas)

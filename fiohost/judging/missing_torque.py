@@ -9,7 +9,8 @@ play.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from fiohost.judging.settings import TORQUE
 from fiohost.motor.compiled import compiled
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.noise.estimate import Noise
 from fiohost.workers import each
 
 
@@ -118,22 +120,25 @@ def _shifted(torque, edges, bins, counts, shifts, signs, sums, squares):  # type
                     squares[i, v] += sums[v, b] ** 2 / counts[v, b]
 
 
-def missing_torque(record: Record, model: Model, residual: np.ndarray, walk_pct: float = 20.0) -> np.ndarray:
+def missing_torque(record: Record, model: Model, residual: np.ndarray, noise: Noise | None = None) -> np.ndarray:
     """Torque (n) in percent of duty that the model lacks, smoothed, from the free-run residual (n) of a record.
 
-    ``walk_pct`` is how far the torque may wander in a second: the band of the smoother. Speeds are summed up to angles.
+    The band of the smoother is that of a torque as random as the ``noise`` of the records, else one that hides nothing
+    above the counts. Speeds are summed up to angles.
     """
-    noise = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
+    sensor, walk_pct = (noise.sensor.value, noise.walk_pct) if noise else (0.0, TORQUE.walk_pct)
+    rounding = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
+    sigma = float(np.hypot(rounding, sensor))
     if record.kind != ANGLE:
         residual = np.cumsum(residual * np.gradient(record.excitation.times_s))
-        noise *= record.sample_time_s
+        sigma *= record.sample_time_s
     d = np.zeros((len(residual), 2))
     _smooth(
         np.ascontiguousarray(residual),
         record.sample_time_s,
         model.number("linear.gain_deg_s_per_pct"),
         model.number("linear.tau_s"),
-        noise,
+        sigma,
         walk_pct,
         d,
         np.zeros((len(residual), 18)),
@@ -231,9 +236,11 @@ class _Torque:
     bins: dict[str, np.ndarray]
 
     @classmethod
-    def of(cls, records: Sequence[Record], model: Model, judgements: Sequence[Judgement]) -> _Torque:
+    def of(
+        cls, records: Sequence[Record], model: Model, judgements: Sequence[Judgement], noise: Noise | None = None
+    ) -> _Torque:
         pairs = list(zip(records, judgements, strict=True))
-        torques = [missing_torque(r, model, j.free_residual) for r, j in pairs]
+        torques = [missing_torque(r, model, j.free_residual, noise) for r, j in pairs]
         variables = [_variables(r, j) for r, j in pairs]
         edges = np.cumsum([0] + [len(t) for t in torques])
         alone = np.cumsum([r.own_zero and j.start.zero is None for r, j in pairs])
@@ -246,6 +253,34 @@ class _Torque:
     def share(self, name: str) -> float:
         """The share of the torque's variance about zero that its mean in bins explains."""
         return _explained(self.torque, self.bins[name], float(self.torque @ self.torque))
+
+    @property
+    def regressors(self) -> np.ndarray:
+        """What an offset load, dry friction and a gain do (n, 3)."""
+        return np.column_stack([np.ones(len(self.torque)), self.bins["speed_sign"] - 1.0, self.values["duty"]])
+
+    def beside_own(self) -> _Torque:
+        """Without what each record may have of its own: load, friction and gain."""
+        left, columns = self.torque.copy(), self.regressors
+        for r in map(slice, self.edges[:-1], self.edges[1:]):
+            left[r] -= columns[r] @ np.linalg.lstsq(columns[r], left[r], rcond=None)[0]
+        return replace(self, torque=left)
+
+    def shares(self) -> dict[str, float]:
+        """The shares that follow angle, speed and duty, and those of a friction and a gain that are others in each
+        stretch of a record, beside its mean.
+        """
+        weight, columns, drifts = float(self.torque @ self.torque), self.regressors[:, 1:], np.zeros(2)
+        for begin, end in pairwise(self.edges):
+            ran = self.values["time"][begin:end] - self.values["time"][begin]
+            parts = np.flatnonzero(np.diff(ran // TORQUE.stretch_s)) + 1
+            for part in np.split(np.arange(begin, end), parts):
+                by = columns[part] - columns[part].mean(axis=0)
+                spans = np.sum(by**2, axis=0)
+                drifts += np.divide((by.T @ self.torque[part]) ** 2, spans, out=np.zeros(2), where=spans > 0.0)
+        drifts = drifts / weight if weight > 0.0 else drifts
+        followed = {n: self.share(n) for n in self.bins if n not in ("time", "speed_sign")}
+        return followed | dict(zip(("friction", "gain"), drifts.tolist(), strict=True))
 
     def by_chance(self, rng: np.random.Generator) -> np.ndarray:
         """The shares (shifts, variables) of the torque of each record at another time and with either sign."""
@@ -287,28 +322,29 @@ def ruled(
     estimates: Sequence[Sequence[Model]],
     starts: Sequence[Start],
     rng: np.random.Generator,
+    noise: Noise,
     least_share: float,
     sigmas: float,
 ) -> bool:
-    """Whether the torque that ``models`` (one a record) lack follows angle, speed or duty: more than ``least_share`` of
-    it, and more than the 99 % point of bootstrap samples with the records' noise, each judged by one of the
-    ``estimates`` that samples give (one a record each). A random torque follows nothing but itself, in time. ``sigmas``
-    are as ``levels_of`` takes them.
+    """Whether the torque that ``models`` (one a record) lack is more than random: beside what is each record's own it
+    follows angle, speed or duty, or is a friction or a gain that changes in the record; by more than ``least_share`` of
+    it, and by more than the 99 % point of bootstrap samples with the ``noise``, each judged by one of the ``estimates``
+    that samples give (one a record each). A random torque follows nothing but itself, in time. ``sigmas`` are as
+    ``levels_of`` takes them.
     """
 
-    def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> _Torque:
+    def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> dict[str, float]:
         found = [judge(r, m, y, near=s) for r, m, s, y in zip(records, judges, starts, data, strict=True)]
-        return _Torque.of(records, judges[0], found)
+        return _Torque.of(records, judges[0], found, noise).beside_own().shares()
 
-    missing = lacking(models, [None] * len(records))
-    shares = {n: missing.share(n) for n in missing.bins if n != "time" and missing.share(n) > least_share}
+    shares = {n: share for n, share in lacking(models, [None] * len(records)).items() if share > least_share}
     if not shares:
         return False
 
     def draw(i: int) -> list[float]:
         days = zip(another_day(records, rngs[i]), models, starts, strict=True)
         other = lacking(estimates[i], [Replicas(r, m, s).draw(rngs[i]) for r, m, s in days])
-        return [other.share(n) for n in shares]
+        return [other[n] for n in shares]
 
     rngs = rng.spawn(len(estimates))
     drawn = np.array(each(draw, range(len(estimates))))

@@ -65,6 +65,11 @@ class TorqueSettings:
     # Circular shifts in time that say what chance reaches, and bins of each variable.
     shifts: int = 200
     bins: int = 16
+    # Where no noise is known the torque wanders by so much of full duty in a second: nothing above counts is hidden.
+    walk_pct: float = 20.0
+    # A gain or a friction that changes in a run is looked for in stretches of so long: several correlation times of any
+    # noise, and no more than what warms takes.
+    stretch_s: float = 10.0
 
 
 FLOOR, VERDICT, TORQUE = FloorSettings(), VerdictSettings(), TorqueSettings()

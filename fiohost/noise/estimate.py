@@ -56,6 +56,11 @@ class Noise:
         return all(abs(a.value - b.value) <= share * (a.high - a.low) for a, b in pairs)
 
     @property
+    def walk_pct(self) -> float:
+        """How far the torque wanders in the first second, in percent of duty, did it go on as it begins."""
+        return self.torque_pct.value * (2.0 / self.torque_s.value) ** 0.5 if self.torque_s.value > 0.0 else 0.0
+
+    @property
     def torque_known(self) -> bool:
         """Whether there is a torque at all, within what the data can tell."""
         return self.torque_pct.low > 0.0

@@ -1,0 +1,59 @@
+"""What is left of a model is a random torque where it follows nothing but itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fiohost.discover.whitened import drawing
+from fiohost.estimation.fit import fit_from_scratch
+from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.record import Record, make_record
+from fiohost.judging.missing_torque import ruled
+from fiohost.judging.replica import Replicas
+from fiohost.motor.model import Model
+from fiohost.motor.simulate import Start
+from fiohost.noise.estimate import Noise, Ranged
+
+QUANTUM, STEP_S, SECONDS = 0.5, 0.005, 30.0
+SLOW = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.3, 0.3, 0.3), Ranged(1.0, 1.0, 1.0))
+TRUTH = Model((), {"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.08}).with_effect(
+    "coulomb_friction", {"level_pct": 3.0}
+)
+START = Start(0.0, 0.0)
+
+
+def made(truth: Model) -> list[Record]:
+    """Three runs of levels, a random torque in them, one after the other by the bench's clock."""
+    found = []
+    for run in range(3):
+        rng = np.random.default_rng(run)
+        times = np.arange(round(SECONDS / STEP_S)) * STEP_S
+        duty = np.repeat(rng.choice([-60.0, -30.0, 25.0, 45.0, 70.0], 30), 200)
+        bare = make_record(f"run {run}", times, duty, np.zeros(len(times)), quantum=QUANTUM, at_rest=True)
+        bare = make_record(
+            f"run {run}", times, duty, free_output(bare, Flat.of(truth), START), quantum=QUANTUM, at_rest=True
+        )
+        (loaded,) = drawing([bare], SLOW)
+        y = Replicas(loaded, truth, START).draw(rng)
+        found.append(make_record(f"run {run}", times, duty, y, quantum=QUANTUM, at_rest=True))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "follows"),
+    [
+        ("", {}, False),
+        ("gain_warm_up", {"ratio": 0.06, "time_constant_s": 12.0}, True),
+        ("friction_warm_up", {"ratio": 0.5, "time_constant_s": 12.0}, True),
+    ],
+)
+def test_a_gain_or_a_friction_that_drifts_in_each_run_is_no_random_torque(
+    effect: str, values: dict[str, float | str], follows: bool
+) -> None:
+    records = made(TRUTH.with_effect(effect, values) if effect else TRUTH)
+    model = fit_from_scratch(TRUTH, records).model
+    judged = [model] * len(records)
+    drawn = drawing(records, SLOW)
+    found = ruled(drawn, judged, [judged] * 16, [START] * 3, np.random.default_rng(0), SLOW, 0.1, 3.137)
+    assert found is follows
