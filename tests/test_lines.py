@@ -49,6 +49,20 @@ def test_a_gain_that_swings_has_its_line_in_what_is_left_as_a_share_of_the_comma
     assert clock_lines(parts)[0] == pytest.approx(1.5625, abs=0.02)
 
 
+def test_a_line_beside_one_of_another_kind_is_another_line_where_the_clock_tells_them_apart() -> None:
+    """A gain that swings beside a torque that does, closer than one record tells apart."""
+    parts = []
+    for run, clock in enumerate((0.0, 31.3, 70.2)):
+        rng = np.random.default_rng(run)
+        times = clock + np.arange(round(SECONDS / STEP_S)) * STEP_S
+        duty = levels(rng)
+        torque = 2.0 * np.sin(2.0 * np.pi * 1.5 * times)
+        gain = 0.06 * np.sin(2.0 * np.pi * 1.53 * times) * duty
+        parts.append(Series(0.3 * coloured(rng) + torque + gain, duty, STEP_S, clock))
+    found = clock_lines(parts)
+    assert all(any(abs(line - near) < 0.003 for line in found) for near in (1.5, 1.53))
+
+
 def test_noise_alone_seldom_has_a_line() -> None:
     rng = np.random.default_rng(2)
     found = [clock_lines([Series(coloured(rng), levels(rng), STEP_S, 0.0)]) for _ in range(100)]

@@ -31,6 +31,10 @@ class Series:
     clock_s: float
 
     @property
+    def seconds(self) -> float:
+        return len(self.left) * self.step_s
+
+    @property
     def by_command(self) -> Series:
         """The same as a share of the command, which a gain that swings leaves a line in."""
         rms = float(np.sqrt(np.mean(self.duty_pct**2)))
@@ -41,17 +45,14 @@ def clock_lines(parts: Sequence[Series]) -> list[float]:
     """Frequencies in Hz of lines in what is left of records and not in their commands: the strongest first of a torque,
     then those that only a gain shows.
     """
-    longest = max(len(p.left) * p.step_s for p in parts)
     found = _lines(parts)
-    return found + [
-        line
-        for line in _lines([p.by_command for p in parts])
-        if all(abs(line - other) > LINES.same / longest for other in found)
-    ]
+    apart = LINES.same / (_by_the_clock(parts) or max(p.seconds for p in parts))
+    by_gain = _lines([p.by_command for p in parts])
+    return found + [line for line in by_gain if all(abs(line - other) > apart for other in found)]
 
 
 def _lines(parts: Sequence[Series]) -> list[float]:
-    longest = max(len(p.left) * p.step_s for p in parts)
+    longest = max(p.seconds for p in parts)
     nyquist = min(0.5 / p.step_s for p in parts)
     grid = np.arange(LINES.finer * LINES.periods, LINES.finer * longest * nyquist) / (LINES.finer * longest)
     if len(grid) < LINES.finer * LINES.fewest:
@@ -60,7 +61,7 @@ def _lines(parts: Sequence[Series]) -> list[float]:
     for part in parts:
         over = _over_background(part.left, part.step_s, grid)
         if over is not None:
-            length, repeats = len(part.left) * part.step_s, _repeats(part)
+            length, repeats = part.seconds, _repeats(part)
             if repeats > 0.0:  # what follows its own command says nothing of the clock
                 order = np.round(grid / repeats)
                 over[(order > 0) & (np.abs(grid - order * repeats) <= LINES.same / length)] = 1.0
@@ -87,12 +88,17 @@ def _repeats(part: Series) -> float:
     return largest / (n * part.step_s) if periodic else 0.0
 
 
+def _by_the_clock(parts: Sequence[Series]) -> float:
+    """The seconds of the bench's clock that records were taken within; 0 where they do not say when they began."""
+    clocks = [p.clock_s for p in parts]
+    return max(p.clock_s + p.seconds for p in parts) - min(clocks) if len(set(clocks)) == len(parts) else 0.0
+
+
 def _closer(line_hz: float, parts: Sequence[Series], width: float) -> float:
     """A frequency as all records together have it by the bench's clock; as it is where that says nothing."""
-    clocks = [p.clock_s for p in parts]
-    whole = max(p.clock_s + len(p.left) * p.step_s for p in parts) - min(clocks)
+    whole = _by_the_clock(parts)
     looks = 2 * int(np.ceil(LINES.finer * 2.0 * width * whole)) + 1
-    if len(set(clocks)) < len(parts) or looks > LINES.most_looks:
+    if whole == 0.0 or looks > LINES.most_looks:
         return line_hz
     near = line_hz + np.linspace(-width, width, looks)
     summed = np.zeros(looks, dtype=complex)
