@@ -41,19 +41,20 @@ def made(truth: Model) -> list[Record]:
 
 
 @pytest.mark.parametrize(
-    ("effect", "values", "follows"),
+    ("effect", "values", "ruling"),
     [
-        ("", {}, False),
-        ("gain_warm_up", {"ratio": 0.06, "time_constant_s": 12.0}, True),
-        ("friction_warm_up", {"ratio": 0.5, "time_constant_s": 12.0}, True),
+        ("", {}, ()),
+        ("gain_warm_up", {"ratio": 0.06, "time_constant_s": 12.0}, ("gain_drift",)),
+        ("friction_warm_up", {"ratio": 0.5, "time_constant_s": 12.0}, ("friction_drift",)),
     ],
 )
 def test_a_gain_or_a_friction_that_drifts_in_each_run_is_no_random_torque(
-    effect: str, values: dict[str, float | str], follows: bool
+    effect: str, values: dict[str, float | str], ruling: tuple[str, ...]
 ) -> None:
     records = made(TRUTH.with_effect(effect, values) if effect else TRUTH)
     model = fit_from_scratch(TRUTH, records).model
     judged = [model] * len(records)
     drawn = drawing(records, SLOW)
     found = ruled(drawn, judged, [judged] * 16, [START] * 3, np.random.default_rng(0), SLOW, 0.1, 3.137)
-    assert found is follows
+    assert set(ruling) <= set(found)
+    assert bool(ruling) == bool(found)

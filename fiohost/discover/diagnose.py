@@ -60,6 +60,7 @@ class Diagnosis:
     noise_decided: bool = False
     curves: tuple[ForceCurve, ...] = ()
     white: bool = False
+    ruling: tuple[str, ...] = ()
     tolerance_pct: float = 0.0
     unnamed: Unnamed | None = None
     own_starts: tuple[OwnStart | None, ...] = ()
@@ -78,6 +79,13 @@ class Diagnosis:
     def in_hand(self) -> Model:
         """The best usable model: the final one, curves of no name in it where something stays unexplained."""
         return replace(self.unnamed.model if self.unnamed else self.final.fit.model, seen=seen_of(self.train))
+
+    @property
+    def depends_on(self) -> list[str]:
+        """What the missing torque follows where something stays unexplained, by variable."""
+        if self.verdict != "unexplained":
+            return []
+        return list(dict.fromkeys([*(d.variable for d in self.residual if d.significant), *self.ruling]))
 
     @property
     def extrapolates(self) -> dict[str, list[str]]:
@@ -217,6 +225,7 @@ def _diagnose(
         noise=noise,
         noise_decided=found.noise is not None,
         white=found.white if found.noise else looks_white(stage, train),
+        ruling=found.ruling,
     )
     if diagnosis.verdict != "unexplained":
         return diagnosis

@@ -103,7 +103,9 @@ class Ladder:
         seen = search.run(begun)
         if self.exact and (seen.added or self.runs.few) and (best := self._led(seen)):
             return self.whole.found(self.root, best)
-        found = replace(search.found(begun, seen), white=search.white(seen))
+        white = search.white(seen)
+        ruling = () if white else self.windows.ruling(seen.state)
+        found = replace(search.found(begun, seen), white=white, ruling=ruling)
         found = _plainly_fitted(found, self.windows, self.rng)
         explained = found.white and found.final.follows
         return found if self.begun_anew or explained else self._anew() or found

@@ -166,7 +166,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         ],
         "residual": {
             "white": found.white,
-            "depends_on": [d.variable for d in found.residual if d.significant and found.verdict == "unexplained"],
+            "depends_on": found.depends_on,
             "empirical": found.outlook.empirical.to_json() if found.outlook.empirical else None,
             "tests": {
                 **{f"missing_torque_{d.variable}": d.to_json() for d in found.residual},

@@ -30,8 +30,9 @@ class Step(Generic[J]):
 @dataclass(frozen=True)
 class Found(Generic[J]):
     """The outcome of one search: the declared stage first, the final one last. ``one_clock`` says that its records were
-    taken for one after the other. Where noise decided, ``noise`` is what is left, ``white`` whether it looks so, and
-    ``taken`` the share of the squared error of windows as they are that the final structure takes there.
+    taken for one after the other. Where noise decided, ``noise`` is what is left, ``white`` whether it looks so,
+    ``ruling`` what it follows else, and ``taken`` the share of the squared error of windows as they are that the final
+    structure takes there.
     """
 
     stages: tuple[J, ...]
@@ -40,6 +41,7 @@ class Found(Generic[J]):
     one_clock: bool = False
     noise: Noise | None = None
     white: bool = False
+    ruling: tuple[str, ...] = ()
     taken: float = 0.0
 
     @property

@@ -23,6 +23,7 @@ from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.missing_torque import ruled
 from fiohost.motor.effect import effect
+from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
 
@@ -42,6 +43,7 @@ class WeighedWindows(PlainWindows):
         self._stands: list[np.ndarray] | None = None
         self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
         self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
+        self._ruling: WeakKeyDictionary[State, tuple[str, ...]] = WeakKeyDictionary()
 
     @property
     def least_taken(self) -> float:
@@ -123,7 +125,7 @@ class WeighedWindows(PlainWindows):
     def _looks_white(self, state: State) -> bool:
         null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
         uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
-        return is_white(uneven, null.unevenness) and not self._ruled(state)
+        return is_white(uneven, null.unevenness) and not self.ruling(state)
 
     @property
     def most_torque_pct(self) -> float:
@@ -131,10 +133,16 @@ class WeighedWindows(PlainWindows):
         duty = np.concatenate([r.acting_pct for r in self.records])
         return min(self.settings.most_torque_pct, self.settings.most_of_duty * float(np.sqrt(np.mean(duty**2))))
 
-    def _ruled(self, state: State) -> bool:
-        """Whether what a state lacks follows anything, each run with what is its own."""
-        assert state.noise is not None
-        stage, noise = self.stage(state), state.noise
+    def ruling(self, state: State) -> tuple[str, ...]:
+        """What the torque that a state lacks follows, each run with what is its own."""
+        if state.noise is None:
+            return ()
+        if state not in self._ruling:
+            self._ruling[state] = self._ruled(state, state.noise)
+        return self._ruling[state]
+
+    def _ruled(self, state: State, noise: Noise) -> tuple[str, ...]:
+        stage = self.stage(state)
         by_run = [noise.runs.by_run.get(run_of(r.name), np.zeros(3)) for r in self.train]
         own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
         records = drawing(self.train, replace(noise, runs=NO_SCATTER))

@@ -280,7 +280,7 @@ class _Torque:
                 drifts += np.divide((by.T @ self.torque[part]) ** 2, spans, out=np.zeros(2), where=spans > 0.0)
         drifts = drifts / weight if weight > 0.0 else drifts
         followed = {n: self.share(n) for n in self.bins if n not in ("time", "speed_sign")}
-        return followed | dict(zip(("friction", "gain"), drifts.tolist(), strict=True))
+        return followed | dict(zip(("friction_drift", "gain_drift"), drifts.tolist(), strict=True))
 
     def by_chance(self, rng: np.random.Generator) -> np.ndarray:
         """The shares (shifts, variables) of the torque of each record at another time and with either sign."""
@@ -325,12 +325,11 @@ def ruled(
     noise: Noise,
     least_share: float,
     sigmas: float,
-) -> bool:
-    """Whether the torque that ``models`` (one a record) lack is more than random: beside what is each record's own it
-    follows angle, speed or duty, or is a friction or a gain that changes in the record; by more than ``least_share`` of
-    it, and by more than the 99 % point of bootstrap samples with the ``noise``, each judged by one of the ``estimates``
-    that samples give (one a record each). A random torque follows nothing but itself, in time. ``sigmas`` are as
-    ``levels_of`` takes them.
+) -> tuple[str, ...]:
+    """What the torque that ``models`` (one a record) lack follows beside what is each record's own: angle, speed, duty,
+    a friction or a gain that changes in a record; each by more than ``least_share`` of it, and by more than the 99 %
+    point of bootstrap samples with the ``noise``, each judged by one of the ``estimates`` that samples give (one a
+    record each). A random torque follows nothing but itself, in time. ``sigmas`` are as ``levels_of`` takes them.
     """
 
     def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> dict[str, float]:
@@ -339,7 +338,7 @@ def ruled(
 
     shares = {n: share for n, share in lacking(models, [None] * len(records)).items() if share > least_share}
     if not shares:
-        return False
+        return ()
 
     def draw(i: int) -> list[float]:
         days = zip(another_day(records, rngs[i]), models, starts, strict=True)
@@ -348,7 +347,8 @@ def ruled(
 
     rngs = rng.spawn(len(estimates))
     drawn = np.array(each(draw, range(len(estimates))))
-    return bool(np.any(np.array(list(shares.values())) > levels_of(drawn, sigmas)))
+    levels = levels_of(drawn, sigmas)
+    return tuple(n for n, level in zip(shares, levels.tolist(), strict=True) if shares[n] > level)
 
 
 def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:

@@ -28,6 +28,8 @@ FOLLOWS = {
     "duty_sign": "the sign of the duty",
     "current": "the current",
     "time": "the time",
+    "gain_drift": "a gain that changes in a run",
+    "friction_drift": "a friction that changes in a run",
     "acceleration": "the acceleration",
     "reversals": "reversals",
     "starts": "starts from rest",
