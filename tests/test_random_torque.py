@@ -9,7 +9,7 @@ from fiohost.discover.whitened import drawing
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
-from fiohost.judging.missing_torque import ruled
+from fiohost.judging.followed import ruled
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -8,8 +8,8 @@ from bench_data import measure, multisine, truth_model
 
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, Record, make_record
+from fiohost.judging.followed import dependences
 from fiohost.judging.metrics import judge
-from fiohost.judging.missing_torque import dependences
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

@@ -20,8 +20,8 @@ from scipy.signal import lfilter
 from fiohost.advice.windowed import Windowed
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.judging.followed import bench_angle
 from fiohost.judging.metrics import Judgement, pool
-from fiohost.judging.missing_torque import bench_angle
 from fiohost.judging.stage import Stage
 from fiohost.motor.model import Model
 

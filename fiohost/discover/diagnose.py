@@ -28,8 +28,8 @@ from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, pwm_of, speed_unit, with_bench
 from fiohost.estimation.seen import seen_of
 from fiohost.judging.floor import Floor, floors
+from fiohost.judging.followed import Dependence, ForceCurve, dependences, force_curves
 from fiohost.judging.metrics import Errors, Judgement, judge, pool
-from fiohost.judging.missing_torque import Dependence, ForceCurve, dependences, force_curves
 from fiohost.judging.stage import Stage
 from fiohost.judging.verdict import Excess, excesses
 from fiohost.motor.model import Model

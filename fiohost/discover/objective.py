@@ -24,7 +24,7 @@ from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.whitened import drawing, plain
 from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
-from fiohost.judging.missing_torque import dependences
+from fiohost.judging.followed import dependences
 from fiohost.judging.stage import Stage, judged
 from fiohost.motor.model import Model
 

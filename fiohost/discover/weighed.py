@@ -21,7 +21,7 @@ from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.discover.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
-from fiohost.judging.missing_torque import ruled
+from fiohost.judging.followed import ruled
 from fiohost.motor.effect import effect
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import NO_SCATTER, run_of, varied

@@ -52,7 +52,7 @@ def follow_up_sentence(follow_up: Mapping[str, Any]) -> str:
 
 def confirm_series(circle: Circle) -> SeriesPlot:
     """The fresh record, measured against both models."""
-    from fiohost.judging.missing_torque import bench_angle
+    from fiohost.judging.followed import bench_angle
 
     found = circle.confirmation
     record = found.record

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fiohost.judging.missing_torque import bench_angle
+from fiohost.judging.followed import bench_angle
 from fiohost.report.effect_curve import effect_curves
 from fiohost.report.series import CurvePlot, SeriesPlot
 
 if TYPE_CHECKING:
     from fiohost.advice.empirical import Empirical
     from fiohost.discover.diagnose import Diagnosis
-    from fiohost.judging.missing_torque import ForceCurve
+    from fiohost.judging.followed import ForceCurve
 
 TORQUE = "torque"
 VARIABLE_LABELS = {

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fiohost.estimation.record import ANGLE
-from fiohost.judging.missing_torque import bench_angle, missing_torque
+from fiohost.judging.followed import bench_angle
+from fiohost.judging.missing_torque import missing_torque
 from fiohost.motor.effect import Effect, effect
 from fiohost.motor.model import Model
 from fiohost.report.physical import spoken
