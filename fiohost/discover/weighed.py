@@ -110,11 +110,14 @@ class WeighedWindows(PlainWindows):
     def white(self, state: State) -> bool:
         if self.no_noise(state):
             return False
-        if state not in self._white:
-            # Counts are no noise: without any, what is at its floor is explained, here as in whole runs.
-            at_floor = state.noise is not None and state.noise.only_counts and self.stage(state).follows
-            self._white[state] = at_floor or self._looks_white(state)
-        return self._white[state]
+        return self._even(state) and (self._at_floor(state) or not self.ruling(state))
+
+    def _nothing_left(self, before: State, after: State, group: Sequence[int]) -> bool:
+        return not self.no_noise(after) and self._even(after)
+
+    def _at_floor(self, state: State) -> bool:
+        """Whether counts are all that is left: they are no noise, so that the floor decides, as in whole runs."""
+        return state.noise is not None and state.noise.only_counts and self.stage(state).follows
 
     def reached(self, fitted: Fit, floor_rms: float) -> bool:
         return False  # what noise leaves is not known before the model is
@@ -122,10 +125,16 @@ class WeighedWindows(PlainWindows):
     def no_noise(self, state: State) -> bool:
         return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct
 
-    def _looks_white(self, state: State) -> bool:
-        null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
-        uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
-        return is_white(uneven, null.unevenness) and not self.ruling(state)
+    def _even(self, state: State) -> bool:
+        """Whether innovations are as even as those of bootstrap samples."""
+        if self._at_floor(state):
+            return True
+        if state not in self._white:
+            screen = Screen(state.fit, state.records, ())
+            null = draw_null(state.fit, state.records, screen, [], self.rng, self.settings)
+            uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
+            self._white[state] = is_white(uneven, null.unevenness)
+        return self._white[state]
 
     @property
     def most_torque_pct(self) -> float:
