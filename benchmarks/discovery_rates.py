@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from discovery_run import Row, same
-from rows import filled, programs
+from rows import filled, programs, read
 
 Test = Callable[[Row], bool]
 LOOSER = {"presliding_friction"}
@@ -209,6 +209,8 @@ def figures(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     ]
 
 
+# Rows of a smaller plan, all by one program.
+LATEST = Path(__file__).parent / "results" / "discovery_latest.jsonl"
 # What a fault of an earlier integrator touched: the page says which of these rows are of which program.
 BODIES = frozenset({"backlash", "shaft_compliance", "fast_decay", "parameter_change"})
 
@@ -277,13 +279,19 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def page(rows: Sequence[Row]) -> str:
-    """docs/discovery.md from its template."""
+def _told(rows: Sequence[Row], name: str) -> dict[str, str]:
+    """What a template says of a plan: the rates, how many cases of each kind, its seed, the programs."""
     drawn: list[dict[str, Any]] = [r for r in rows if r.get("drawn")]
     counts = ", ".join(
         f"{sum(r['kind'] == k for r in drawn)} {k}" for k in ("clear", "faint", "none", "pair", "outside")
     )
     seeds = ", ".join(str(r["plan"]) for r in rows if "plan" in r)
+    told = {"table": table(rows), "counts": counts, "seeds": seeds, "programs": programs(rows)}
+    return {f"{name}{key}": text for key, text in told.items()}
+
+
+def page(rows: Sequence[Row]) -> str:
+    """docs/discovery.md from its template: the whole plan, and the smaller one of a single program."""
     bodies = programs([r for r in rows if BODIES & set(r.get("truth", ()))])
     template = Path(__file__).with_name("discovery.template.md")
-    return filled(template, table=table(rows), counts=counts, seeds=seeds, programs=programs(rows), bodies=bodies)
+    return filled(template, bodies=bodies, **_told(rows, ""), **_told(read(LATEST), "latest_"))

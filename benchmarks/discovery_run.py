@@ -33,6 +33,9 @@ HOLDS = {
     "pwm_dead_time": "asymmetric_deadband",
     "supply_drift": "gain_warm_up",
     "encoder_eccentricity": "shaft_angle_error",
+    "gravity_load": "load_over_position",
+    "cogging_torque": "load_over_position",
+    "position_dependent_friction": "friction_over_position",
 }
 
 

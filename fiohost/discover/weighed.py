@@ -126,15 +126,15 @@ class WeighedWindows(PlainWindows):
         return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct
 
     def _even(self, state: State) -> bool:
-        """Whether innovations are as even as those of bootstrap samples."""
-        if self._at_floor(state):
-            return True
+        """Whether what is left is counts or as white as what bootstrap samples leave, whatever else it follows."""
         if state not in self._white:
-            screen = Screen(state.fit, state.records, ())
-            null = draw_null(state.fit, state.records, screen, [], self.rng, self.settings)
-            uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
-            self._white[state] = is_white(uneven, null.unevenness)
+            self._white[state] = self._at_floor(state) or self._looks_white(state)
         return self._white[state]
+
+    def _looks_white(self, state: State) -> bool:
+        null = draw_null(state.fit, state.records, Screen(state.fit, state.records, ()), [], self.rng, self.settings)
+        uneven = unevenness(state.fit.residuals, [r.edges for r in state.records])
+        return is_white(uneven, null.unevenness)
 
     @property
     def most_torque_pct(self) -> float:
