@@ -46,9 +46,14 @@ def made(truth: Model) -> list[Record]:
         ("", {}, ()),
         ("gain_warm_up", {"ratio": 0.06, "time_constant_s": 12.0}, ("gain_drift",)),
         ("friction_warm_up", {"ratio": 0.5, "time_constant_s": 12.0}, ("friction_drift",)),
+        (
+            "position_dependent_friction",
+            {"ratio": 0.3, "order": 2.0, "phase_deg": 20.0},
+            ("angle_and_speed_sign",),
+        ),
     ],
 )
-def test_a_gain_or_a_friction_that_drifts_in_each_run_is_no_random_torque(
+def test_what_drifts_in_each_run_or_follows_the_angle_is_no_random_torque(
     effect: str, values: dict[str, float | str], ruling: tuple[str, ...]
 ) -> None:
     records = made(TRUTH.with_effect(effect, values) if effect else TRUTH)

@@ -165,8 +165,8 @@ class _Torque:
         return replace(self, torque=left)
 
     def shares(self) -> dict[str, float]:
-        """The shares that follow angle, speed and duty, and those of a friction and a gain that are others in each
-        stretch of a record, beside its mean.
+        """The shares that follow the angle in either direction, speed and duty, and those of a friction and a gain that
+        are others in each stretch of a record, beside its mean.
         """
         weight, columns, drifts = float(self.torque @ self.torque), self.regressors[:, 1:], np.zeros(2)
         for begin, end in pairwise(self.edges):
@@ -177,7 +177,10 @@ class _Torque:
                 spans = np.sum(by**2, axis=0)
                 drifts += np.divide((by.T @ self.torque[part]) ** 2, spans, out=np.zeros(2), where=spans > 0.0)
         drifts = drifts / weight if weight > 0.0 else drifts
-        followed = {n: self.share(n) for n in self.bins if n not in ("time", "speed_sign")}
+        followed = {n: self.share(n) for n in ("speed", "duty")}
+        if "angle" in self.bins:
+            each_way = 3 * self.bins["angle"] + self.bins["speed_sign"]
+            followed["angle_and_speed_sign"] = _explained(self.torque, each_way, weight)
         return followed | dict(zip(("friction_drift", "gain_drift"), drifts.tolist(), strict=True))
 
     def by_chance(self, rng: np.random.Generator) -> np.ndarray:
