@@ -9,7 +9,9 @@ from fiohost.discover.whitened import drawing
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
+from fiohost.judging import followed
 from fiohost.judging.followed import ruled
+from fiohost.judging.missing_torque import missing_torque
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -63,3 +65,20 @@ def test_what_drifts_in_each_run_or_follows_the_angle_is_no_random_torque(
     found = ruled(drawn, judged, [judged] * 16, [START] * 3, np.random.default_rng(0), SLOW, 0.1, 3.137)
     assert set(ruling) <= set(found)
     assert bool(ruling) == bool(found)
+
+
+def test_an_estimate_that_runs_away_says_nothing_of_what_a_random_torque_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    records = made(TRUTH)
+    model = fit_from_scratch(TRUTH, records).model
+    lost, judged = TRUTH.with_values({"linear.gain_deg_s_per_pct": 11.0}), [model] * 3
+
+    def torque(record: Record, of: Model, residual: np.ndarray, noise: Noise | None) -> np.ndarray:
+        return np.full(len(residual), np.nan) if of is lost else missing_torque(record, of, residual, noise)
+
+    monkeypatch.setattr(followed, "missing_torque", torque)
+    estimates = [*([judged] * 15), [lost] * 3]
+    rng = np.random.default_rng(0)
+    assert ruled(drawing(records, SLOW), judged, estimates, [START] * 3, rng, SLOW, 0.0, 3.137) == ()
+    assert ruled(drawing(records, SLOW), judged, [[lost] * 3] * 8, [START] * 3, rng, SLOW, 0.0, 3.137) == ()

@@ -85,7 +85,9 @@ class Diagnosis:
         """What the missing torque follows where something stays unexplained, by variable."""
         if self.verdict != "unexplained":
             return []
-        return list(dict.fromkeys([*(d.variable for d in self.residual if d.significant), *self.ruling]))
+        found = [d.variable for d in self.residual if d.significant]
+        more = (n for n in self.ruling if not (n == "angle_and_speed_sign" and "angle" in found))
+        return list(dict.fromkeys([*found, *more]))
 
     @property
     def extrapolates(self) -> dict[str, list[str]]:

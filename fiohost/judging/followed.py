@@ -248,7 +248,8 @@ def ruled(
 
     rngs = rng.spawn(len(estimates))
     drawn = np.array(each(draw, range(len(estimates))))
-    levels = levels_of(drawn, sigmas)
+    drawn = drawn[np.isfinite(drawn).all(axis=1)]  # an estimate that runs away says nothing
+    levels = levels_of(drawn, sigmas) if len(drawn) > 1 else np.full(len(shares), np.inf)
     return tuple(n for n, level in zip(shares, levels.tolist(), strict=True) if shares[n] > level)
 
 
