@@ -101,13 +101,13 @@ def test_a_trial_begins_where_least_squares_have_the_model_beside_it_and_goes_on
     assert beside < 0.1 * alone
     jobs = [Job(s, state.fit, records) for s in scores.values()]
     library, floor = runs.beside(state), runs.floor_rms(state)
-    right, hopeless = library.rough(jobs, floor)
+    _, (right, hopeless) = library.rough(jobs, floor)
     assert right.rms < 1.1 * floor
     assert hopeless.cost == begun_fits(state.fit, scores["parameter_change"], records)[0].cost
     rival = runs.settled(fit(right.model, records))
-    (as_it_began,) = library.rough(jobs[1:], floor, rival)
+    _, (as_it_began,) = library.rough(jobs[1:], floor, rival)
     assert as_it_began.cost == hopeless.cost
-    (gone,) = library.rough(jobs[1:], floor)
+    _, (gone,) = library.rough(jobs[1:], floor)
     assert gone.cost < hopeless.cost
 
 
@@ -334,7 +334,7 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
     assert alone["gravity_load"].fit.rms == pytest.approx(rival.fit.rms, rel=0.05)
     fitted.clear()
     jobs, floor = beside.worth(), runs.floor_rms(without)
-    again = beside.carried(jobs, beside.rough(jobs, floor), floor, rival)
+    again = beside.carried(*beside.rough(jobs, floor), floor, rival)
     assert again["gravity_load"][1] is rival
     assert "gravity_load" not in fitted
 

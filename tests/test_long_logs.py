@@ -126,7 +126,7 @@ def test_a_rough_fit_and_what_the_null_does_not_ask_for_keep_no_arrays() -> None
     kept, light = ranked(screen, offered, True), ranked(other, offered, False)
     assert all(s.directions for s in kept)
     assert not any(s.directions for s in light)
-    (rough,) = beside.rough([Job(kept[0], root.fit, root.records)], float("inf"))
+    _, (rough,) = beside.rough([Job(kept[0], root.fit, root.records)], float("inf"))
     assert rough.cost < root.fit.cost
     assert (rough.residuals, rough.jacobians, rough.nuisances) == ((), (), ())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from bench_data import suite, truth_model
@@ -57,19 +58,28 @@ def test_every_structure_is_judged_by_the_same_draws() -> None:
 
 
 def test_the_best_scores_are_enough_where_more_would_change_nothing() -> None:
-    """Not beside one at the floor of whole runs: the data may not tell the others from it."""
+    """Beside one at the floor of whole runs those that score about as much are asked too."""
     records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.008}), 4)
     names = ("transport_delay", "viscous_friction", "constant_load", "duty_curve", "supply_sag", "quadratic_drag")
     enough = SETTINGS.least_refitted
 
-    def rough(logs: Logs, few: Sequence[str], rival: State | None = None) -> int:
+    def rough(logs: Logs, few: Sequence[str], rival: State | None = None, near: str = "") -> int:
         state = logs.declared(DECLARED, False)
         (screen,) = logs.screens(state)
-        jobs = [Job(screen.score(effect(n)), state.fit, screen.records) for n in few]
-        return len(logs.beside(state).rough(jobs, logs.floor_rms(state), rival))
+        scores = {n: screen.score(effect(n)) for n in few}
+        best = max(scores.values(), key=lambda score: score.share)
+        scores |= {near: replace(scores[near], share=0.9 * best.share)} if near else {}
+        jobs = [Job(score, state.fit, screen.records) for score in scores.values()]
+        asked, fits = logs.beside(state).rough(jobs, logs.floor_rms(state), rival)
+        assert len(asked) == len(fits)
+        assert not near or near in [job.name for job in asked]
+        return len(fits)
 
     runs, windows = WholeRuns(records), PlainWindows(records)
-    assert rough(runs, names) == len(names)
+    assert rough(runs, names) == enough
+    assert rough(runs, names, near=names[-1]) == enough + 1
+    assert rough(runs, names[1:]) == len(names) - 1
+    assert rough(WholeRuns(records[:2]), names) == len(names)
     full = runs.settled(fit_from_scratch(DECLARED.with_effect("transport_delay", {"delay_s": 0.008}), records))
     assert rough(runs, names, full) == enough
     assert rough(windows, names) == enough

@@ -92,8 +92,7 @@ class LogsBeside:
         s, floor = self.logs.settings, self.logs.floor_rms(self.state)
         jobs = self.worth()
         say(f"refitting {len({job.name for job in jobs})} of them")
-        rough = self.rough(jobs, floor, rival)
-        jobs = jobs[: len(rough)]
+        jobs, rough = self.rough(jobs, floor, rival)
         if self.logs.exact and min(f.rms for f in rough) > s.lost * floor:
             say("whole runs are far from the floor with every effect")
             if rival or not self.logs.anew:
@@ -147,9 +146,8 @@ class LogsBeside:
         ahead = {id(jobs[i].records): np.inf for i in finals}
 
         def stands(i: int) -> None:
-            """Of two the worse may still come first by a threshold or a choice, but not beside one at the floor."""
-            room = OPTIMISER.another_choice if fits[i].rms <= s.finished * floor else s.hopeless
-            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], room * fits[i].cost)
+            """Of two the worse may still come first by a threshold or a choice, but only where it is near."""
+            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], OPTIMISER.another_choice * fits[i].cost)
 
         def thorough(i: int) -> Fit:
             if i in there or fits[i].cost > ahead[id(jobs[i].records)]:
@@ -210,25 +208,29 @@ class LogsBeside:
             jobs += [Job(x, screen.fit, screen.records) for x in worth]
         return jobs
 
-    def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> list[Fit]:
-        """Rough fits of jobs, without their arrays: of a long log, those of all would fill the memory. The best scores
-        come first. They are enough where whole runs have a ``rival`` or are far from the floor with all of them, but
-        for few experiments, which many effects may explain; and where windows, by which nothing is believed, reach it.
+    def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> tuple[list[Job], list[Fit]]:
+        """The jobs worth one, and their rough fits, without their arrays: of a long log, those of all would fill the
+        memory. The best scores come first. Beside one at the floor those that score about as much follow, as the data
+        may not tell them from it; none where windows reach it, by which nothing is believed, and where whole runs have
+        a ``rival`` or are far from it with all of them. Few experiments may be explained by many effects: all follow.
         """
-        s, found = self.logs.settings, list[Fit]()
-        for some in (jobs[: s.least_refitted], jobs[s.least_refitted :]):
-            found += self._some_rough(some, floor, rival, found) if some else []
-            if self.logs.exact:
-                far = min(f.rms for f in found) > s.lost * floor
-                enough = (rival is not None or far) and not self.logs.few
-            else:
-                enough = any(self.logs.reached(f, floor) for f in found)
-            if enough:
-                break
-        return found
+        s = self.logs.settings
+        first, rest = list(jobs[: s.least_refitted]), list(jobs[s.least_refitted :])
+        found = self._some_rough(first, floor, rival, ())
+        least = min((f.rms for f in found), default=np.inf)
+        if not self.logs.exact:
+            rest = [] if any(self.logs.reached(f, floor) for f in found) else rest
+        elif not self.logs.few:
+            if rival is not None or least > s.lost * floor:
+                rest = []
+            elif least**2 <= s.as_good * floor**2:
+                rest = [job for job in rest if job.score.share > s.shared_gain * jobs[0].score.share]
+        return first + rest, found + self._some_rough(rest, floor, rival, found)
 
     def _some_rough(self, jobs: Sequence[Job], floor: float, rival: State | None, others: Sequence[Fit]) -> list[Fit]:
         """Rough fits of some jobs; beside one that is at the floor they go on only where they may come near it."""
+        if not jobs:
+            return []
         s = self.logs.settings
         ahead = each(lambda job: list(map(_bare, begun(job.base, job.score, job.records))), jobs)
         seen = [*(f for fits in ahead for f in fits), *others, *([rival.fit] if rival else [])]

@@ -126,10 +126,10 @@ class Search(Generic[J]):
         """Where every search begins: the declared model fitted."""
         return Node(self.evidence.finished(self.evidence.declared(model, from_file)))
 
-    def run(self, root: Node) -> Node:
-        """The best structure that the data speak for."""
-        beam, best = [root], root
-        while len(best.added) < self.settings.most_effects and not (self.explains(best) or self.in_vain(best)):
+    def run(self, root: Node, most: int | None = None) -> Node:
+        """The best structure that the data speak for, with so many effects at most."""
+        beam, best, most = [root], root, most or self.settings.most_effects
+        while len(best.added) < most and not (self.explains(best) or self.in_vain(best)):
             beam = self.best_first(self.next_ones(beam))[: self.settings.beam]
             if not beam or (best is not root and beam[0].price >= best.price):
                 break
