@@ -111,6 +111,14 @@ def test_a_search_ends_where_no_structure_can_explain_the_data() -> None:
     assert asked == [frozenset(), {FIRST}]
 
 
+def test_a_search_ends_with_as_many_effects_as_it_was_asked_for() -> None:
+    search = Search(Table(), [FIRST, OTHER], lambda text: None)
+    root = Node(state(()))
+    assert len(search.run(root, most=1).added) == 1
+    assert not search.explains(search.run(root, most=1))
+    assert search.explains(search.run(root))
+
+
 @pytest.mark.parametrize(("unsure", "white"), [(1.0, False), (1000.0, True)])
 def test_what_no_name_is_given_to_is_missing_where_left_out_data_gain_by_it(unsure: float, white: bool) -> None:
     table = Table()

@@ -69,7 +69,7 @@ class Ladder:
         return self._by_weighed_windows()
 
     def _by_whole_runs(self) -> Found[Stage] | None:
-        best = self.whole.run(self.root, most=2)  # windows lead to more at less cost
+        best = self.whole.run(self.root, most=SETTINGS.most_before_windows)
         if self.whole.explains(best):
             return self.whole.found(self.root, best)
         return _by_one_clock(self.runs, self.library, self.say, self.model, self.from_file)

@@ -178,7 +178,8 @@ class SearchSettings:
     # for more than five standard deviations of one sample.
     sure_sigmas: float = 2.0
     most_of_a_block: float = 25.0
-    # A rival gains this share of what the best does on left-out blocks.
+    # A rival gains this share of what the best does on left-out blocks. Beside one at the floor of whole runs, effects
+    # that score this share of it are refitted besides the least number.
     shared_gain: float = 0.8
     # Fits whose squared errors are this close are as good: counts of whole runs err alike and do not average out.
     as_good: float = 1.03
@@ -196,9 +197,11 @@ class SearchSettings:
     # Of what windows leave beside noise it takes this share at least: what a motor does by less from one minute to the
     # next, as warming, one record cannot tell from noise.
     least_further: float = 0.1
-    # Search: so many structures are carried on beside each other, up to so many effects.
+    # Search: so many structures are carried on beside each other, up to so many effects. Whole runs first look for so
+    # many: beside a third, which windows lead to, a step took a minute.
     beam: int = 2
     most_effects: int = 4
+    most_before_windows: int = 2
     # A share of the missing torque that follows the angle, the speed or the duty, or a gain or a friction that changes
     # in a run, is no noise. Commands that nobody logged, in 1 % of the rows, look like a tenth.
     follows: float = 0.2
