@@ -142,7 +142,7 @@ def wanted(kind: str, size: float) -> bool:
 def run_task(task: Task) -> Row:
     """Draw until the size is that of the task, then diagnose. A row with ``drawn`` false where no draw was."""
     from fiohost.circle.evidence import diagnose
-    from fiohost.estimation.intervals import estimates
+    from fiohost.discover.diagnose import parameters
     from fiohost.judging.metrics import pool
     from fiohost.motor.effect import effects
 
@@ -168,7 +168,7 @@ def run_task(task: Task) -> Row:
         j.errors.window_rms <= sorted(d.errors.window_rms for d in f.draws)[-1] * 1.005
         for j, f in zip(found.after_holdout, found.floor_holdout, strict=True)
     ]
-    known = estimates(found.final.fit, found.final.scattered_models)
+    known = parameters(found, found.final)
     return {
         "key": task.key,
         "kind": task.kind,

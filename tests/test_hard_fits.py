@@ -311,6 +311,39 @@ def test_two_effects_of_which_neither_brings_whole_runs_near_are_led_to_by_windo
     assert not any("noise" in text or "anew" in text for text in said), said
 
 
+def test_of_two_effects_windows_may_show_but_one_and_whole_runs_the_other() -> None:
+    values = {
+        "quadratic_drag.pct_at_1000_deg_s": 2.5,
+        "asymmetric_deadband.u_plus_pct": 0.02,
+        "asymmetric_deadband.u_minus_pct": -0.1,
+    }
+    truth = truth_model(("coulomb_friction", "quadratic_drag", "asymmetric_deadband"), values)
+    said: list[str] = []
+    library = ["quadratic_drag", "asymmetric_deadband", "load_over_position", "cogging_torque", "stribeck_friction"]
+    found = diagnose_records(
+        suite(truth, 11, 15.0), (), Model.parse("linear+coulomb_friction"), library=library, say=said.append
+    )
+    assert {s.effect for s in found.steps} == {"quadratic_drag", "asymmetric_deadband"}, said
+    assert any("windows of 1 s" in text for text in said), said
+    assert not any("noise" in text or "curves" in text for text in said), said
+
+
+def test_an_event_beside_another_effect_leads_whole_runs_to_it() -> None:
+    values = {"sublinear_viscous_friction.pct_at_1000_deg_s": 0.8, "sublinear_viscous_friction.knee_deg_s": 70.0}
+    names, rng = ("coulomb_friction", "sublinear_viscous_friction"), np.random.default_rng(13)
+    before = truth_model(names, {**values, "linear.gain_deg_s_per_pct": 6.9})
+    grows = {"which": "gain", "ratio": 1.5}
+    changing, after = (before.with_effect("parameter_change", {"time_s": t, **grows}) for t in (5.0, 0.0))
+    logs = in_sequence([measure(m, steps(12.0, rng), rng) for m in (before, before, changing, after)])
+    said: list[str] = []
+    library = ["parameter_change", "sublinear_viscous_friction", "gain_warm_up", "voltage_saturation", "gravity_load"]
+    found = diagnose_records(logs, (), Model.parse("linear+coulomb_friction"), library=library, say=said.append)
+    assert [s.effect for s in found.steps] == ["parameter_change", "sublinear_viscous_friction"], said
+    assert found.final.fit.model.number("parameter_change.time_s") == pytest.approx(29.0, abs=0.02)
+    assert found.verdict == "explained"
+    assert not any("windows of 1 s" in text for text in said), said
+
+
 def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """It was carried to its minimum, and a gap is searched for long."""
     values = {"gravity_load.level_pct": 6.0, "gravity_load.phase_deg": 40.0, "pwm_dead_time.time_us": 3.0}

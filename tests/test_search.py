@@ -17,6 +17,7 @@ from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
 
 FIRST, OTHER = "coulomb_friction", "constant_load"
+THIRD, EVENT = "transport_delay", "parameter_change"
 SAMPLES = 100.0
 # By what is in a model, and whether its fit begins where the other effect was beside: the first stops half-way alone.
 LEFT = {
@@ -26,6 +27,10 @@ LEFT = {
     ((FIRST, OTHER), False): 0.0,
     ((FIRST,), True): 0.0,
     ((OTHER,), True): 900.0,
+    ((THIRD,), False): 1000.0,
+    ((FIRST, THIRD), False): 500.0,
+    ((OTHER, THIRD), True): 900.0,
+    ((OTHER, THIRD), False): 200.0,
 }
 
 
@@ -41,7 +46,7 @@ class Stage:
 
 
 def state(names: Sequence[str], beside: bool = False) -> State:
-    deviance = LEFT[tuple(n for n in (FIRST, OTHER) if n in names), beside]
+    deviance = LEFT[tuple(n for n in (FIRST, OTHER, THIRD, EVENT) if n in names), beside]
     fit = Fit(Model(tuple(names)), tuple(names), SAMPLES + deviance, (), (), (), (), True, SAMPLES)
     return State(fit, deviance)
 
@@ -50,6 +55,14 @@ class Table(Evidence[Stage]):
     """``unsure`` is the standard error of what left-out data gain; no name is believed where all are ``doubted``."""
 
     unsure, doubted = 1.0, False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.carried: list[tuple[str, ...]] = []
+
+    def finished(self, state: State) -> State:
+        self.carried.append(state.fit.names)
+        return state
 
     def judge(self, state: State) -> Stage:
         return Stage(state.fit)
@@ -62,6 +75,9 @@ class Table(Evidence[Stage]):
 
     def without(self, state_: State, name: str) -> State:
         return state([n for n in state_.fit.names if n != name], beside=True)
+
+    def as_good(self, state: State, best: State) -> bool:
+        return state.deviance <= best.deviance
 
     def gain(self, before: State, after: State) -> Gain:
         return Gain(before.deviance - after.deviance, self.unsure, 1.0)
@@ -127,3 +143,53 @@ def test_what_no_name_is_given_to_is_missing_where_left_out_data_gain_by_it(unsu
     found = search.run(search.declared(Model(()), False))
     assert not found.names
     assert search.white(found) is white
+
+
+def test_where_one_explains_the_data_no_other_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To get a fit off its ledge, or to see that there is none, takes longer than all that was asked before."""
+    monkeypatch.setitem(LEFT, ((FIRST,), True), 500.0)
+    table = Table()
+    search = Search(table, (FIRST, OTHER, THIRD), lambda text: None)
+    found = search.run(search.declared(Model(()), False))
+    assert found.names == {FIRST, OTHER}
+    assert table.carried[-1] == (OTHER, FIRST)
+    assert (OTHER, THIRD) not in table.carried
+
+
+@pytest.mark.parametrize(("left", "names"), [(300.0, {EVENT, OTHER}), (30000.0, frozenset())])
+def test_an_event_leads_to_what_is_missing_beside_it_where_it_comes_near(
+    left: float, names: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No other record can confirm it; where whole runs are followed at last, they do."""
+    for have, deviance in (((), 1e5), ((OTHER,), 1e5), ((EVENT,), left), ((OTHER, EVENT), 0.0)):
+        monkeypatch.setitem(LEFT, (have, False), deviance)
+    for have in ((OTHER,), (EVENT,)):
+        monkeypatch.setitem(LEFT, (have, True), 1e5)
+    search = Search(Table(), (OTHER, EVENT), lambda text: None)
+    found = search.run(search.declared(Model(()), False))
+    assert found.names == names
+    assert search.explains(found) is bool(names)
+
+
+def test_what_was_asked_beside_a_structure_is_asked_again_only_where_that_does_better_now() -> None:
+    table = Table()
+    search = Search(table, (FIRST, OTHER), lambda text: None)
+    root = Node(state(()))
+    first = search.run(root, most=1)
+    asked = len(table.carried)
+    assert search.run(root, most=1) is search.run(Node(state(())), most=1) is first
+    assert len(table.carried) == asked
+    better = State(root.state.fit, root.state.deviance - 100.0)
+    assert search.run(Node(better), most=1) is not first
+    assert len(table.carried) > asked
+
+
+def test_where_no_candidate_comes_near_more_may_be_asked_for_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Search(Table(), (FIRST, OTHER), lambda text: None)
+    root = Node(state(()))
+    with monkeypatch.context() as patched:
+        patched.setattr(Beside, "refitted", lambda *given, **more: [])
+        assert search.run(root) is root
+    assert search.run(root) is root
+    search.forget_far()
+    assert search.run(root).names == {FIRST}

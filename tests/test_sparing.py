@@ -90,7 +90,7 @@ def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> N
     values = {f"load_over_position.point_{i}_pct": 1.5 * x for i, x in enumerate(CURVE_PCT, 1)}
     records = suite(truth_model(("coulomb_friction", "load_over_position"), values), 11, 24.0)
     said: list[str] = []
-    library = ["load_over_position", "gravity_load"]
+    library = ["load_over_position", "stribeck_friction"]
     found = diagnose_records(records, (), DECLARED, library=library, say=said.append)
     assert [s.effect for s in found.steps] == ["load_over_position"], said
     assert found.verdict == "explained"

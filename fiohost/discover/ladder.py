@@ -78,11 +78,11 @@ class Ladder:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         self.say("whole runs stay unexplained: windows of 1 s")
         search, seen = self._plainly(curves=False)
-        best = self._led(seen, further=False) if seen.added else None
+        best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
         if not best and any(effects()[n].points for n in self.shown):
             self.say("once more, with general curves over the angle")
             _, curved = self._plainly(curves=True)
-            best = self._led(curved, further=False) if curved.names - seen.names else None
+            best = self._led(curved, SETTINGS.most_before_windows) if curved.names - seen.names else None
         if best:
             return self.whole.found(self.root, best)
         # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
@@ -112,11 +112,11 @@ class Ladder:
 
     def _anew(self) -> Found[Stage] | None:
         """What explains whole runs where effects begin from values of their own, or None."""
-        self.begun_anew = True
-        runs = WholeRuns(self.train, self.rng, anew=True)
-        search = Search(runs, self.library, self.say, tolerance_pct=self.tolerance_pct, in_vain=self._in_vain)
-        best = search.run(self.root)
-        return search.found(self.root, best) if search.explains(best) else None
+        self.begun_anew = self.runs.anew = True
+        self.whole.forget_far()
+        best = self.whole.run(self.root)
+        self.runs.anew = False
+        return self.whole.found(self.root, best) if self.whole.explains(best) else None
 
     def _in_windows(self, windows: PlainWindows, in_vain: Callable[[Node], bool] = lambda node: False) -> Search[Stage]:
         return Search(
@@ -152,15 +152,15 @@ class Ladder:
                 near[node] = Node(runs.settled(chosen_again(fitted, runs.records)), node.added)
         return near[node]
 
-    def _led(self, seen: Node, further: bool = True) -> Node | None:
-        """What explains whole runs from where windows led, with ``further`` effects added there or without, or None."""
+    def _led(self, seen: Node, most: int | None = None) -> Node | None:
+        """What explains whole runs from where windows led, with ``most`` effects, some of them added there, or None."""
         again = self._as_whole_runs(seen)
         if not self.whole.explains(again):
             again = Node(self.runs.finished(again.state), seen.added)
         if self.whole.explains(again):
             again = self.whole.exchanged(again, root=None if self.runs.only_counts(again.state) else self.root)
-        elif further:
-            again = self.whole.run(again)
+        else:
+            again = self.whole.run(again, most)
         return again if self.whole.explains(again) else None
 
 

@@ -54,13 +54,14 @@ class Child:
 
 @dataclass(eq=False)
 class Node:
-    """A structure on the way: its state, what was added in turn to come there, and whether chance does not reach what
-    the library gains beside it, though no name is believed.
+    """A structure on the way: its state, what was added in turn to come there, whether chance does not reach what the
+    library gains beside it, though no name is believed, and whether no candidate comes near the data (``far``).
     """
 
     state: State
     added: tuple[Added, ...] = ()
     lacks: bool = False
+    far: bool = False
 
     @property
     def names(self) -> frozenset[str]:
@@ -95,6 +96,15 @@ class Added:
     after: Node | None = None
 
 
+@dataclass(frozen=True)
+class Expanded:
+    """What a search found beside a node: the nodes with one effect more, and how all candidates did."""
+
+    node: Node
+    children: tuple[Node, ...]
+    told: list[Candidate]
+
+
 Ranked = TypeVar("Ranked", Node, Child)
 
 
@@ -117,6 +127,7 @@ class Search(Generic[J]):
         self.enough, self.in_vain = enough, in_vain
         self.settings = evidence.settings
         self.told: list[Candidate] = []
+        self.known: dict[frozenset[str], Expanded] = {}
 
     def stage(self, node: Node) -> J:
         """A node judged on all data."""
@@ -136,11 +147,13 @@ class Search(Generic[J]):
             best = next((n for n in beam if self.explains(n)), beam[0])
         return self.exchanged(best)
 
-    def next_ones(self, beam: Sequence[Node]) -> list[Node]:
-        """The nodes with one more effect than those of a beam; the one that explains the data, where one does."""
+    def next_ones(self, beam: Sequence[Node], *, rival: Node | None = None) -> list[Node]:
+        """The nodes with one more effect than those of a beam; the one that explains the data, where one does. Where
+        there is a ``rival`` they have to do as well as it does.
+        """
         grown: dict[frozenset[str], Node] = {}
         for node in beam:
-            for child in self.expand(node):
+            for child in self.expand(node, rival=rival) if rival else self.expanded(node):
                 if self.explains(child):
                     return [child]
                 was = grown.get(child.names)
@@ -166,7 +179,7 @@ class Search(Generic[J]):
             # What is fitted without a name that was mistaken keeps to where that had led.
             rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
             told = self.told
-            first = self.best_first([*self.expand(rest, rival=best), best])[0]
+            first = self.best_first([*self.next_ones([rest], rival=best), best])[0]
             self.told = told
             itself = first.added[-1].child.name == name and len(first.added) >= len(best.added)
             if first is not best and not itself and (self.explains(first) or not self.explains(best)):
@@ -214,6 +227,7 @@ class Search(Generic[J]):
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
         if not children:
+            node.far = True
             return
         null = beside.null(children[0].state)
         whys = each(lambda c: self.objection(node, c, null), children)
@@ -227,6 +241,23 @@ class Search(Generic[J]):
         ]
         for c in accepted[: self.settings.beam]:
             yield self.grown(node, c, accepted, null.of(c.name))
+
+    def expanded(self, node: Node) -> Iterator[Node]:
+        """Those nodes as they were found when the same structure was asked for them, unless it does better now."""
+        was = self.known.get(node.names)
+        if was is not None and (was.node is node or self.evidence.as_good(was.node.state, node.state)):
+            node.lacks, node.far, self.told = was.node.lacks, was.node.far, was.told
+            yield from was.children
+            return
+        children: list[Node] = []
+        for child in self.expand(node):
+            children.append(child)
+            yield child
+        self.known[node.names] = Expanded(node, tuple(children), self.told)
+
+    def forget_far(self) -> None:
+        """Forget what was found beside nodes that no candidate came near the data from."""
+        self.known = {names: was for names, was in self.known.items() if not was.node.far}
 
     def surely(self, node: Node, child: Child) -> bool:
         """Whether left-out data gain by a candidate what is worth a name, be it this one or another."""
@@ -242,7 +273,7 @@ class Search(Generic[J]):
         s, e, of, after = self.settings, self.evidence, child.effect, child.state
         left = after.fit.rms / self.stage(node).floor_rms if e.exact else np.inf
         finished = left <= s.finished
-        if e.exact and of.once and not finished:
+        if e.exact and of.once and left > s.lost:
             return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
         if child.gain < self.asked(child, null) and not finished:
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.of(child.name):.0f}"
@@ -259,8 +290,8 @@ class Search(Generic[J]):
                 return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
         if not (of.shown or of.once) and (why := e.unconfirmed(node.state, after, child.name)):
             return why
-        if of.once and finished:
-            return None  # no other record can confirm it
+        if e.exact and of.once:
+            return None  # no other record can confirm it: it leads on, and is believed where whole runs are followed
         gain = e.gain(node.state, after)
         if not gain.sure(s):
             return f"gains {gain.total:.0f} of deviance on left-out training data, give or take {gain.error:.0f}"
