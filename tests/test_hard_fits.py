@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -407,6 +408,31 @@ def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.
     truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
     diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
     assert ("coulomb_friction", "constant_load") in begun
+
+
+@pytest.mark.parametrize(
+    ("off", "at_floor", "asked"), [(1.0, True, []), (1.0, False, ["polish"]), (1.001, True, ["unstuck"])]
+)
+def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_left(
+    off: float, at_floor: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction that sticks makes replicas err by more than counts: one wrong by a seventh followed the data."""
+    called: list[str] = []
+    for name in ("polish", "unstuck"):
+
+        def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator, name: str = name) -> Fit:
+            called.append(name)
+            return found
+
+        monkeypatch.setattr(objective, name, recorded)
+    records = suite(truth_model(), 3)
+    runs, truth = WholeRuns(records), fit(truth_model(), records)
+    gain = off * truth.model.number("linear.gain_deg_s_per_pct")
+    state = runs.settled(unchanged(truth.model.with_values({"linear.gain_deg_s_per_pct": gain}), records))
+    stage = SimpleNamespace(at_floor=at_floor, follows=True, windows_above_floor=0.0)
+    monkeypatch.setattr(WholeRuns, "stage", lambda runs, state: stage)
+    runs.finished(state)
+    assert called == asked
 
 
 def test_a_springy_shaft_is_found_though_the_first_step_from_another_frequency_leads_further(tmp_path: Path) -> None:

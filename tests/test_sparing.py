@@ -14,7 +14,8 @@ from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
 from fiohost.discover.optimise import fits_anew
 from fiohost.discover.refit import Job
 from fiohost.discover.settings import SETTINGS
-from fiohost.estimation.fit import fit_from_scratch
+from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.record import Record
 from fiohost.judging.settings import FLOOR
 from fiohost.judging.stage import Stage
 from fiohost.motor.effect import effect
@@ -117,3 +118,36 @@ def test_windows_begin_no_refit_far_away_but_it_may_begin_anew() -> None:
     assert (score.trials, score.far) == ((), effect("fast_decay").trials)
     assert windows.beside(state).refitted([effect("fast_decay")], lambda text: None) == []
     assert len(fits_anew(screen.fit, [score], screen.records, 1)) == 1
+
+
+def test_where_windows_leave_but_counts_what_takes_little_of_them_leads_on() -> None:
+    """There is no noise that might do for so little, and whole runs see it: one cog of 0.12 % takes 8 % of windows."""
+    values = {
+        "duty_steps.step_pct": 25.0,
+        "duty_steps.share": 0.36,
+        "duty_steps.rounding": "cut",
+        "cogging_torque.order": 20.0,
+        "cogging_torque.level_pct": 0.12,
+        "cogging_torque.phase_deg": -30.0,
+    }
+    steps = ("coulomb_friction", "duty_steps")
+    records = suite(truth_model((*steps, "cogging_torque"), values), 11, 24.0)
+    models = [
+        truth_model(names, {n: v for n, v in values.items() if n.split(".")[0] in names})
+        for names in (steps, (*steps, "cogging_torque"))
+    ]
+
+    def immaterial(logs: Sequence[Record]) -> tuple[bool, float, str | None]:
+        plain = PlainWindows(logs)
+        one, both = (plain.settled(fit(m, plain.records, windows=True)) for m in models)
+        return plain.reached(one.fit, 0.0), plain.taken(one, both), plain.immaterial(one, both)
+
+    reached, taken, why = immaterial(records)
+    assert reached
+    assert 0.02 < taken < SETTINGS.least_of_rest
+    assert why is None
+    rng = np.random.default_rng(5)
+    reached, taken, why = immaterial([replace(r, y=r.y + rng.normal(0.0, 0.5, len(r))) for r in records])
+    assert not reached
+    assert why is not None
+    assert why.startswith("removes ")

@@ -154,9 +154,7 @@ class Ladder:
 
     def _led(self, seen: Node, most: int | None = None) -> Node | None:
         """What explains whole runs from where windows led, with ``most`` effects, some of them added there, or None."""
-        again = self._as_whole_runs(seen)
-        if not self.whole.explains(again):
-            again = Node(self.runs.finished(again.state), seen.added)
+        again = Node(self.runs.finished(self._as_whole_runs(seen).state), seen.added)
         if self.whole.explains(again):
             again = self.whole.exchanged(again, root=None if self.runs.only_counts(again.state) else self.root)
         else:

@@ -153,9 +153,13 @@ class WholeRuns(Logs):
             if better.cost < found.cost and not _doubted(better):
                 state = self.settled(better)
         stage, found = self.stage(state), state.fit
-        if stage.follows or stage.windows_above_floor > self.settings.stuck:
+        if stage.windows_above_floor > self.settings.stuck:
             return state
-        better = unstuck(found, records, self.rng)
+        # Where stick decides by last digits, replicas may err by far more than counts, and so may a fit on a ledge.
+        counts = self.only_counts(state)
+        if counts and stage.at_floor:
+            return state
+        better = polish(found, records, self.rng) if counts else unstuck(found, records, self.rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
     def polished(self, state: State) -> State:
@@ -222,7 +226,8 @@ class PlainWindows(Logs):
 
     def immaterial(self, before: State, after: State) -> str | None:
         taken = self.taken(before, after)
-        if taken >= self.least_taken:
+        # Where counts are all that is left, there is no noise that might do for less.
+        if taken >= self.least_taken or self.reached(before.fit, 0.0):
             return None
         return f"removes {100 * max(taken, 0.0):.0f} % of what windows leave"
 
