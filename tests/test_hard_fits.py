@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,24 +11,23 @@ from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 from short_runs import logs_of, plant_file
 
 from fiohost.bench.experiment import Experiment
-from fiohost.discover import objective, refit
+from fiohost.discover import objective
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.folds import folds
 from fiohost.discover.ladder import in_sequence
 from fiohost.discover.moments import fit_event
-from fiohost.discover.objective import WholeRuns
 from fiohost.discover.optimise import begun as begun_fits
-from fiohost.discover.optimise import carried_on, cost_of, gone_on, thorough_fit, unstuck
+from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
 from fiohost.discover.refit import Job
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import Screen
-from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
+from fiohost.estimation.fit import fit, fit_from_scratch, unchanged
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record, record_from_log, with_bench
 from fiohost.judging.metrics import judge
-from fiohost.motor.effect import effect, effects
+from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -280,99 +277,6 @@ def test_a_place_on_the_turn_is_not_known_better_than_to_half_a_count() -> None:
     assert set(wider.values()) == {0.0}
 
 
-def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
-    values = {
-        "asymmetric_coulomb_friction.forward_pct": 5.0,
-        "asymmetric_coulomb_friction.reverse_pct": 3.5,
-        "friction_warm_up.ratio": 0.6,
-        "friction_warm_up.time_constant_s": 15.0,
-        "friction_warm_up.follows": "time",
-    }
-    records = suite(truth_model(("asymmetric_coulomb_friction", "friction_warm_up"), values), 11, 15.0)
-    said: list[str] = []
-    library = ["constant_load", "friction_warm_up"]  # a load is the mean of a friction that differs by direction
-    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library, say=said.append)
-    assert any("windows of 1 s" in text for text in said), said
-    assert {s.effect for s in found.steps} == set(library), said
-    assert found.verdict == "explained"
-
-
-def test_two_effects_of_which_neither_brings_whole_runs_near_are_led_to_by_windows_as_they_are() -> None:
-    """Weighed by the noise that each candidate leaves, which here is what it lacks, that took three times as long."""
-    values = {"gravity_load.level_pct": 6.0, "gravity_load.phase_deg": 40.0, "pwm_dead_time.time_us": 3.0}
-    truth = truth_model(("coulomb_friction", "gravity_load", "pwm_dead_time"), values)
-    said: list[str] = []
-    library = ["pwm_dead_time", "gravity_load", "cogging_torque", "constant_load", "stribeck_friction"]
-    found = diagnose_records(
-        suite(truth, 11, 15.0), (), Model.parse("linear+coulomb_friction"), library=library, say=said.append
-    )
-    assert ({s.effect for s in found.steps}, found.verdict) == ({"gravity_load", "pwm_dead_time"}, "explained"), said
-    far = [i for i, text in enumerate(said) if text == "whole runs are far from the floor with every effect"]
-    assert said[far[0] + 1] == "whole runs stay unexplained: windows of 1 s", said
-    assert not any("noise" in text or "anew" in text for text in said), said
-
-
-def test_of_two_effects_windows_may_show_but_one_and_whole_runs_the_other() -> None:
-    values = {
-        "quadratic_drag.pct_at_1000_deg_s": 2.5,
-        "asymmetric_deadband.u_plus_pct": 0.02,
-        "asymmetric_deadband.u_minus_pct": -0.1,
-    }
-    truth = truth_model(("coulomb_friction", "quadratic_drag", "asymmetric_deadband"), values)
-    said: list[str] = []
-    library = ["quadratic_drag", "asymmetric_deadband", "load_over_position", "cogging_torque", "stribeck_friction"]
-    found = diagnose_records(
-        suite(truth, 11, 15.0), (), Model.parse("linear+coulomb_friction"), library=library, say=said.append
-    )
-    assert {s.effect for s in found.steps} == {"quadratic_drag", "asymmetric_deadband"}, said
-    assert any("windows of 1 s" in text for text in said), said
-    assert not any("noise" in text or "curves" in text for text in said), said
-
-
-def test_an_event_beside_another_effect_leads_whole_runs_to_it() -> None:
-    values = {"sublinear_viscous_friction.pct_at_1000_deg_s": 0.8, "sublinear_viscous_friction.knee_deg_s": 70.0}
-    names, rng = ("coulomb_friction", "sublinear_viscous_friction"), np.random.default_rng(13)
-    before = truth_model(names, {**values, "linear.gain_deg_s_per_pct": 6.9})
-    grows = {"which": "gain", "ratio": 1.5}
-    changing, after = (before.with_effect("parameter_change", {"time_s": t, **grows}) for t in (5.0, 0.0))
-    logs = in_sequence([measure(m, steps(12.0, rng), rng) for m in (before, before, changing, after)])
-    said: list[str] = []
-    library = ["parameter_change", "sublinear_viscous_friction", "gain_warm_up", "voltage_saturation", "gravity_load"]
-    found = diagnose_records(logs, (), Model.parse("linear+coulomb_friction"), library=library, say=said.append)
-    assert [s.effect for s in found.steps] == ["parameter_change", "sublinear_viscous_friction"], said
-    assert found.final.fit.model.number("parameter_change.time_s") == pytest.approx(29.0, abs=0.02)
-    assert found.verdict == "explained"
-    assert not any("windows of 1 s" in text for text in said), said
-
-
-def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It was carried to its minimum, and a gap is searched for long."""
-    values = {"gravity_load.level_pct": 6.0, "gravity_load.phase_deg": 40.0, "pwm_dead_time.time_us": 3.0}
-    records = suite(truth_model(("coulomb_friction", "gravity_load", "pwm_dead_time"), values), 11, 8.0)
-    model = Model.parse("linear+coulomb_friction+pwm_dead_time")
-    runs = WholeRuns(records)
-    without = runs.settled(fit_from_scratch(model, records))
-    full = model.with_effect("gravity_load", {"level_pct": 5.0, "phase_deg": 30.0})
-    rival = runs.settled(fit(full.with_values(dict(without.fit.model.values)), records))
-    fitted: list[str] = []
-
-    def counted(rough: Fit, logs: Sequence[Record]) -> Fit:
-        fitted.append(rough.model.effects[-1])
-        return carried_on(rough, logs)
-
-    monkeypatch.setattr(refit, "carried_on", counted)
-    offered = [effects()[n] for n in ("gravity_load", "cogging_torque", "position_dependent_friction")]
-    beside = runs.beside(without)
-    alone = dict((e.name, s) for e, s in beside.refitted(offered, lambda text: None))
-    assert "gravity_load" in fitted
-    assert alone["gravity_load"].fit.rms == pytest.approx(rival.fit.rms, rel=0.05)
-    fitted.clear()
-    jobs, floor = beside.worth(), runs.floor_rms(without)
-    again = beside.carried(*beside.rough(jobs, floor), floor, rival)
-    assert again["gravity_load"][1] is rival
-    assert "gravity_load" not in fitted
-
-
 def runs_that_repeat_no_speed() -> list[Record]:
     """Five runs one way only, at two speeds each, of a dry motor whose gain differs from run to run."""
     rng = np.random.default_rng(4)
@@ -394,45 +298,6 @@ def test_a_gain_that_differs_from_run_to_run_is_told_as_such() -> None:
     spread = told["run_to_run"]["linear.gain_deg_s_per_pct"]
     assert spread["sd_pct"] == pytest.approx(0.5, rel=0.7)
     assert len(spread["by_log"]) == 5
-
-
-def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[tuple[str, ...]] = []
-
-    def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
-        begun.append(found.model.effects)
-        return found
-
-    monkeypatch.setattr(objective, "unstuck", recorded)
-    values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 1.0}
-    truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
-    diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
-    assert ("coulomb_friction", "constant_load") in begun
-
-
-@pytest.mark.parametrize(
-    ("off", "at_floor", "asked"), [(1.0, True, []), (1.0, False, ["polish"]), (1.001, True, ["unstuck"])]
-)
-def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_left(
-    off: float, at_floor: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Friction that sticks makes replicas err by more than counts: one wrong by a seventh followed the data."""
-    called: list[str] = []
-    for name in ("polish", "unstuck"):
-
-        def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator, name: str = name) -> Fit:
-            called.append(name)
-            return found
-
-        monkeypatch.setattr(objective, name, recorded)
-    records = suite(truth_model(), 3)
-    runs, truth = WholeRuns(records), fit(truth_model(), records)
-    gain = off * truth.model.number("linear.gain_deg_s_per_pct")
-    state = runs.settled(unchanged(truth.model.with_values({"linear.gain_deg_s_per_pct": gain}), records))
-    stage = SimpleNamespace(at_floor=at_floor, follows=True, windows_above_floor=0.0)
-    monkeypatch.setattr(WholeRuns, "stage", lambda runs, state: stage)
-    runs.finished(state)
-    assert called == asked
 
 
 def test_a_springy_shaft_is_found_though_the_first_step_from_another_frequency_leads_further(tmp_path: Path) -> None:

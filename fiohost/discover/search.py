@@ -159,7 +159,7 @@ class Search(Generic[J]):
                 was = grown.get(child.names)
                 if was is None or child.state.price < was.state.price:
                     grown[child.names] = child
-            if not grown and (self.evidence.exact or self.white(node)):
+            if not grown and node is not beam[-1] and (self.evidence.exact or self.white(node)):
                 break  # beside the best one nothing is missing
         return list(grown.values())
 
