@@ -5,6 +5,7 @@ Training records decide everything. Held-out records are judged once, at the end
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -191,8 +192,9 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    ladder = Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct)
-    found = believed(ladder.climbed(), hidden)
+    climbed = Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct).climbed()
+    gc.collect()  # a ladder and its searches hold each other: of a long log that is hundreds of MiB
+    found = believed(climbed, hidden)
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
