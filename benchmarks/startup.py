@@ -1,6 +1,7 @@
 """How long the keyboard waits: ``fiohost --help`` against ``python -c 'import click'``, and ``import fiohost``.
 
     python benchmarks/startup.py [--repeats 15]
+    python benchmarks/startup.py --keep     only uses all kernels once, so that who comes next finds them compiled
 
 Each is run in turn, so that all meet the same machine; ratios are of medians. ``import fiohost`` is the time that it
 adds to an empty interpreter. Beside the clock stands the processor's time, which other work hardly touches.
@@ -77,7 +78,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--keep", action="store_true", help="only use all kernels once, so that they are kept")
     given = parser.parse_args()
+    if given.keep:
+        used = [subprocess.Popen([sys.executable, "-P", "-c", code]) for code in KERNELS.values()]
+        sys.exit(max(one.wait() for one in used))
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in RUNS}
     for _ in range(given.repeats + 1):
         for name, arguments in RUNS.items():

@@ -2,6 +2,7 @@
 
     python benchmarks/worlds.py --out results.jsonl                    the whole plan, days; resumes where it stopped
     python benchmarks/worlds.py --small --minutes 15 --out results.jsonl   short runs, a few cases a world, in minutes
+    python benchmarks/worlds.py --short --clear 1 --sample 10 --none 20 --out results.jsonl   short runs, so many cases
     python benchmarks/worlds.py --world "sensor 1 count" ...              some of the worlds
     python benchmarks/worlds.py --oracle results.jsonl                 adds to rows what the true structure would gain
     python benchmarks/worlds.py --table results.jsonl [--page docs/worlds.md]
@@ -162,6 +163,7 @@ def main() -> None:
     parser.add_argument("--clear", type=int, default=4, help="plants of each effect in each world")
     parser.add_argument("--none", type=int, default=100, help="plants that lack nothing in each world")
     parser.add_argument("--sample", type=int, default=0, help="only so many drawn effects in each world")
+    parser.add_argument("--short", action="store_true", help="short runs")
     parser.add_argument("--small", action="store_true", help="short runs; 4 drawn effects and 3 that lack nothing")
     parser.add_argument("--world", action="append", choices=[w.name for w in WORLDS], help="these worlds only")
     parser.add_argument("--out", type=Path, default=Path("worlds.jsonl"))
@@ -197,7 +199,7 @@ def main() -> None:
     worlds = options.world or [w.name for w in WORLDS]
     counts = (1, 3, 4) if options.small else (options.clear, options.none, options.sample)
     finished = {r["key"] for r in earlier if "key" in r}
-    tasks = [t for t in plan(worlds, *counts, options.small, seed) if t.key not in finished]
+    tasks = [t for t in plan(worlds, *counts, options.small or options.short, seed) if t.key not in finished]
     with options.out.open("a", encoding="utf-8") as file:
         for row in run(tasks, options.jobs, options.minutes, work=run_world, told=summary):
             file.write(json.dumps(row, default=str) + "\n")
