@@ -51,7 +51,11 @@ class Ladder:
     ) -> None:
         self.train, self.model, self.library, self.from_file = train, model, library, from_file
         self.rng, self.say, self.tolerance_pct = rng, say, tolerance_pct
-        self.shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        # All points of a general curve take up a tenth of any slow torque: windows ask for named effects first, and
+        # beside noise for no other.
+        self.general = [n for n in shown if effects()[n].points]
+        self.named = [n for n in shown if n not in self.general]
         self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
         self.begun_anew = not self.exact
         self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
@@ -77,23 +81,20 @@ class Ladder:
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         self.say("whole runs stay unexplained: windows of 1 s")
-        search, seen = self._plainly(curves=False)
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
+        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
+        root = search.declared(self.model, self.from_file)
+        seen = search.run(root)
         best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
-        if not best and any(effects()[n].points for n in self.shown):
-            self.say("once more, with general curves over the angle")
-            _, curved = self._plainly(curves=True)
+        if not best and self.general:
+            self.say("general curves over the angle beside them")
+            curved = search.run(root) if search.also(root, self.general) else seen
             best = self._led(curved, SETTINGS.most_before_windows) if curved.names - seen.names else None
         if best:
             return self.whole.found(self.root, best)
         # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
         # asked for.
         return self._anew() if search.white(seen) or not (seen.added or self._noise_alone(self.root)) else None
-
-    def _plainly(self, curves: bool) -> tuple[Search[Stage], Node]:
-        """A search by windows as they are, and what it comes to."""
-        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), curves=curves, settings=GUIDE)
-        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
-        return search, search.run(search.declared(self.model, self.from_file))
 
     def _by_weighed_windows(self) -> Found[Stage]:
         """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""
@@ -120,7 +121,7 @@ class Ladder:
 
     def _in_windows(self, windows: PlainWindows, in_vain: Callable[[Node], bool] = lambda node: False) -> Search[Stage]:
         return Search(
-            windows, self.shown, self.say, tolerance_pct=self.tolerance_pct, enough=self._enough, in_vain=in_vain
+            windows, self.named, self.say, tolerance_pct=self.tolerance_pct, enough=self._enough, in_vain=in_vain
         )
 
     def _enough(self, node: Node) -> bool:

@@ -32,8 +32,6 @@ from fiohost.motor.model import Model
 class Logs(Evidence[Stage]):
     """Training records, or pieces of them where they are few, as they are fitted."""
 
-    curves = True
-
     def __init__(
         self,
         train: Sequence[Record],
@@ -185,12 +183,9 @@ class PlainWindows(Logs):
         train: Sequence[Record],
         rng: np.random.Generator | None = None,
         anew: bool = False,
-        curves: bool = False,
         settings: SearchSettings = SETTINGS,
     ) -> None:
-        """``curves`` says that general ones are asked for too: windows of a true one lead whole runs there."""
         super().__init__(train, rng, anew, settings)
-        self.curves = curves
         every = -(-sum(len(r.windows) - 1 for r in self.records) // self.settings.most_windows)
         self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
         self.plain = plain(self.records)

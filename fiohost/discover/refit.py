@@ -26,8 +26,6 @@ class Logs(Protocol):
     """What is asked of the logs' evidence."""
 
     exact: bool
-    # Whether general curves over the angle are asked for.
-    curves: bool
     # Whether candidates may begin from values of their own where none comes close.
     anew: bool
     settings: SearchSettings
@@ -81,8 +79,7 @@ class LogsBeside:
         self.taken: set[str] = set()
 
     def offered(self, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
-        offered = candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span)
-        return [e for e in offered if self.logs.curves or not e.points], []
+        return candidates(self.state.fit.model, self.logs.records, library, self.screens[0].span), []
 
     def refitted(
         self, offered: Sequence[Effect], say: Progress, *, rival: State | None = None

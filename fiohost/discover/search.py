@@ -255,6 +255,16 @@ class Search(Generic[J]):
             yield child
         self.known[node.names] = Expanded(node, tuple(children), self.told)
 
+    def also(self, node: Node, names: Sequence[str]) -> bool:
+        """Ask beside a node for other effects too, and add what is found to what was found there; whether anything is.
+        """
+        was = self.known.get(node.names, Expanded(node, (), []))
+        library, self.library = self.library, names
+        others = tuple(self.expand(node))
+        self.library = library
+        self.known[node.names] = Expanded(node, (*was.children, *others), [*was.told, *self.told])
+        return bool(others)
+
     def forget_far(self) -> None:
         """Forget what was found beside nodes that no candidate came near the data from."""
         self.known = {names: was for names, was in self.known.items() if not was.node.far}

@@ -37,7 +37,6 @@ class WeighedWindows(PlainWindows):
         rng: np.random.Generator | None = None,
         settings: SearchSettings = SETTINGS,
     ) -> None:
-        # Beside noise all points of a curve take up a tenth of any slow torque: they are not asked for.
         super().__init__(train, rng, anew=True, settings=settings)
         # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
         self._stands: list[np.ndarray] | None = None
