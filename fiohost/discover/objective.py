@@ -153,14 +153,20 @@ class WholeRuns(Logs):
         stage, found = self.stage(state), state.fit
         if stage.windows_above_floor > self.settings.stuck:
             return state
-        # Where stick decides by last digits, replicas may err by far more than counts, and so may a fit on a ledge.
-        counts = self.only_counts(state)
-        if counts and stage.at_floor:
+        if self._nothing_to_gain(state):
             return state
-        better = polish(found, records, self.rng) if counts else unstuck(found, records, self.rng)
+        better = polish(found, records, self.rng) if self.only_counts(state) else unstuck(found, records, self.rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
+    def _nothing_to_gain(self, state: State) -> bool:
+        """Whether counts are all that is left, and replicas err as much: where stick decides by last digits, these may
+        err by far more than counts, and so may a fit on a ledge.
+        """
+        return self.only_counts(state) and self.stage(state).at_floor
+
     def polished(self, state: State) -> State:
+        if self._nothing_to_gain(state):
+            return state
         better = polish(state.fit, state.records, self.rng)
         return state if better is state.fit or _doubted(better) else self.settled(better)
 
