@@ -32,6 +32,8 @@ from discovery_rates import BOUNDS, page, summary, table
 from discovery_run import Row, Task, run_task, same
 from rows import commit, read
 
+from fiohost.workers import one_thread
+
 # Cases of the smoke run: fixed by their seed, drawn once and not picked. Effects whose fits take minutes are left to
 # the whole plan.
 SLOW = frozenset({"fast_decay"})
@@ -69,7 +71,11 @@ def run(
 
     over, program = time.monotonic() + 60.0 * minutes, commit()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, disable=not sys.stdout.isatty()) as bar, ProcessPoolExecutor(jobs) as pool:
+    alone = one_thread if jobs > 1 else None
+    with (
+        Progress(*columns, disable=not sys.stdout.isatty()) as bar,
+        ProcessPoolExecutor(jobs, initializer=alone) as pool,
+    ):
         shown = bar.add_task("discovery", total=len(tasks))
         waiting = {}
         queue = iter(tasks)

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Workers share the cores among themselves: numpy's own threads would only get in their way. It is not imported yet.
+# Workers share the cores among themselves: more threads would only get in their way. numpy is not imported yet.
 if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name in ("OPENBLAS_NUM_THREADS", "FIOHOST_THREADS"):
+        os.environ.setdefault(name, "1")
 
 # A busy machine is no fault of what is tested; the rest is as hypothesis has it, in the gate and outside.
 settings.register_profile("patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])

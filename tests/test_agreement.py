@@ -219,7 +219,8 @@ def test_the_fit_imports_nothing_of_the_board_and_the_board_is_met_in_the_transp
 def loaded_after(code: str) -> set[str]:
     """Top names and rooms in ``sys.modules`` of a fresh interpreter after ``code``."""
     tail = "\nimport sys; print(*{'.'.join(m.split('.')[:2]) for m in sys.modules})"
-    done = subprocess.run([sys.executable, "-P", "-c", code + tail], capture_output=True, text=True, check=True, cwd=ROOT)
+    command = [sys.executable, "-P", "-c", code + tail]  # what is installed, whose kernels are compiled
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     return set(done.stdout.split())
 
 

@@ -19,6 +19,7 @@ from fiohost.errors import ConfigError, FiohostError
 from fiohost.files import make_folder
 from fiohost.fleet.benches import Bench, key_of
 from fiohost.fleet.work import SCHEMA, Settings, work
+from fiohost.workers import one_thread
 
 KEPT = "benches"
 # A bench whose worker is lost so often is what kills it: it is given up, and said.
@@ -108,7 +109,8 @@ def _locally(
     while left:
         batch, left = left, []
         broken = False
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        alone = one_thread if processes > 1 else None
+        with ProcessPoolExecutor(processes, get_context("spawn"), alone) as pool:
             running: dict[Any, tuple[Bench, str]] = {}
             queue = iter(batch)
             _fill(pool, running, queue, most, settings)
