@@ -94,7 +94,7 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
 
 
 def test_a_torque_that_swings_by_the_clock_is_no_random_one() -> None:
-    """Whitened windows take it for one of 0.7 %."""
+    """Weights take it for one that wanders."""
     ripple: dict[str, float | str] = {"clock_ripple.level_pct": 1.0, "clock_ripple.frequency_hz": 0.65}
     records = suite(truth_model(("coulomb_friction", "clock_ripple"), ripple), 3, 20.0)
     found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=())

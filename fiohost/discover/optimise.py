@@ -375,5 +375,7 @@ def _beside(found: Fit, name: str) -> dict[str, float]:
     columns, at = np.vstack(found.jacobians), found.names.index(name)
     sizes = np.linalg.norm(columns, axis=0)
     others = [i for i in range(len(found.names)) if i != at and sizes[i] > 0.0]
+    if not others:
+        return {}
     slopes = np.linalg.lstsq(columns[:, others] / sizes[others], -columns[:, at], rcond=1e-9)[0] / sizes[others]
     return {found.names[i]: float(slope) for i, slope in zip(others, slopes, strict=True)}

@@ -211,12 +211,12 @@ class Search(Generic[J]):
         """Whether what a node leaves is noise."""
         return not node.lacks and self.evidence.white(node.state)
 
-    def expand(self, node: Node, *, rival: Node | None = None) -> Iterator[Node]:
+    def expand(self, node: Node, *, rival: Node | None = None, library: Sequence[str] | None = None) -> Iterator[Node]:
         """The nodes with one more effect that the data speak for, the best first; each is finished when asked for.
-        Where there is a ``rival`` they have to do as well as it does.
+        Where there is a ``rival`` they have to do as well as it does; a ``library`` stands in for the search's own.
         """
         beside = self.evidence.beside(node.state)
-        offered, self.told = beside.offered(self.library)
+        offered, self.told = beside.offered(self.library if library is None else library)
         if node.added and not self.evidence.exact:  # what another effect leaves can always be blamed on an event
             offered = [e for e in offered if not e.once]
         self.say(f"scoring {len(offered)} effects against the residual of {node.state.fit.model.expression}")
@@ -256,12 +256,9 @@ class Search(Generic[J]):
         self.known[node.names] = Expanded(node, tuple(children), self.told)
 
     def also(self, node: Node, names: Sequence[str]) -> bool:
-        """Ask beside a node for other effects too, and add what is found to what was found there; whether anything is.
-        """
+        """Ask beside a node for other effects too, beside what was found there; whether anything is added to that."""
         was = self.known.get(node.names, Expanded(node, (), []))
-        library, self.library = self.library, names
-        others = tuple(self.expand(node))
-        self.library = library
+        others = tuple(self.expand(node, library=names))
         self.known[node.names] = Expanded(node, (*was.children, *others), [*was.told, *self.told])
         return bool(others)
 

@@ -190,11 +190,14 @@ class _Torque:
         taken: np.ndarray | float = 0.0
         for torque, times in spans:
             step_s = float(times[-1] - times[0]) / (len(times) - 1)
+            # Of a long record all samples would fill the memory: means of a quarter of the fastest period do.
+            block = max(1, int(1.0 / (4.0 * TORQUE.fastest_hz * step_s)))
+            means = torque[: len(torque) // block * block].reshape(-1, block).mean(axis=1)
             # On a grid of four points for each frequency that the longest record tells apart.
             grid_hz = np.arange(4.0 * TORQUE.periods, 4.0 * longest_s * TORQUE.fastest_hz) / (4.0 * longest_s)
-            size = 1 << int(np.ceil(np.log2(8 * len(torque))))
-            power = 2.0 * np.abs(np.fft.rfft(torque, size)) ** 2 / len(torque)
-            taken = taken + np.interp(grid_hz, np.fft.rfftfreq(size, step_s), power, right=0.0)
+            size = 1 << int(np.ceil(np.log2(8 * len(means))))
+            power = 2.0 * block * np.abs(np.fft.rfft(means, size)) ** 2 / len(means)
+            taken = taken + np.interp(grid_hz, np.fft.rfftfreq(size, block * step_s), power, right=0.0)
         weight = float(self.torque @ self.torque)
         return float(np.max(taken, initial=0.0)) / weight if weight > 0.0 else 0.0
 
