@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -347,35 +347,11 @@ def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> 
 
 
 def _begun_around(found: Fit, name: str, records: Sequence[Record]) -> Fit:
-    """The best of fits begun with one parameter moved, the others as they are or as least squares take them along: a
-    few steps from the best of these, and to the end from what comes near.
-    """
+    """The best of fits begun with one parameter moved: a few steps from each, the best few carried on."""
     parameter, value = found.model.parameter(name), found.model.number(name)
     points = [float(np.clip(k * value, parameter.lower, parameter.upper)) for k in OPTIMISER.around]
-    along = _beside(found, name)
-
-    def moved(to: float, way: Mapping[str, float]) -> Model:
-        values = {name: to}
-        for other, slope in way.items():
-            bounds = found.model.parameter(other)
-            values[other] = float(np.clip(found.model.number(other) + slope * (to - value), bounds.lower, bounds.upper))
-        return found.model.with_values(values)
-
-    models = [moved(to, way) for to in dict.fromkeys(points) for way in ({}, along)]
-    costs = each(lambda m: cost_of(found, m, records), models)
-    best = [models[i] for i in np.argsort(costs)[: OPTIMISER.nudges]]
-    near = min(each(lambda m: again(found, m, records, 6, 1e-2), best), key=lambda f: f.cost)
-    if near.cost > OPTIMISER.another_choice * found.cost:
-        return found
-    return min(found, again(near, near.model, records, 25, 1e-7), key=lambda f: f.cost)
-
-
-def _beside(found: Fit, name: str) -> dict[str, float]:
-    """By how much least squares move the other parameters with one of them, by name."""
-    columns, at = np.vstack(found.jacobians), found.names.index(name)
-    sizes = np.linalg.norm(columns, axis=0)
-    others = [i for i in range(len(found.names)) if i != at and sizes[i] > 0.0]
-    if not others:
-        return {}
-    slopes = np.linalg.lstsq(columns[:, others] / sizes[others], -columns[:, at], rcond=1e-9)[0] / sizes[others]
-    return {found.names[i]: float(slope) for i, slope in zip(others, slopes, strict=True)}
+    models = [found.model.with_values({name: v}) for v in dict.fromkeys(points)]
+    rough = sorted(each(lambda m: again(found, m, records, 2, 1e-2), models), key=lambda f: f.cost)
+    near = each(lambda f: again(f, f.model, records, 4, 1e-2), rough[: OPTIMISER.nudges])
+    best = min(near, key=lambda f: f.cost)
+    return min(found, again(best, best.model, records, 25, 1e-7), key=lambda f: f.cost)
