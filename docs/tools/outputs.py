@@ -45,6 +45,7 @@ STEP = re.compile(
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 CLOCK = re.compile(r"^(took|diagnosis in) [\d.]+ (s|min)", re.MULTILINE)  # differs from run to run
 LAST_PLACES = 2.0  # by which another computer's arithmetic may move the last digit that is shown
+SHARE = 0.01  # of a number, by which a fit that ends elsewhere within its tolerance may move it
 
 
 def pages() -> list[Path]:
@@ -128,7 +129,7 @@ def spoken(path: Path, text: str) -> str:
 
 
 def same(shown: str, printed: str) -> bool:
-    """Whether two texts differ in nothing but blanks, times taken and the last digit of a number."""
+    """Whether two texts differ in nothing but blanks, times taken, and numbers by their last digit or a per cent."""
     texts = [CLOCK.sub(r"\1", text) for text in (shown, printed)]
     if len({" ".join(NUMBER.sub("#", text).split()) for text in texts}) > 1:
         return False
@@ -136,7 +137,8 @@ def same(shown: str, printed: str) -> bool:
 
 
 def _close(a: str, b: str) -> bool:
-    return abs(float(a) - float(b)) <= LAST_PLACES * 1.001 * max(_place(a), _place(b))
+    apart, largest = abs(float(a) - float(b)), max(abs(float(a)), abs(float(b)))
+    return apart <= max(LAST_PLACES * 1.001 * max(_place(a), _place(b)), SHARE * largest)
 
 
 def _place(number: str) -> float:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from fiohost.advice.windowed import Windowed
 from fiohost.estimation.fit import fit
@@ -156,6 +155,8 @@ class _Evidence:
 
     def _columns(self, indicators: np.ndarray, kind: str) -> np.ndarray:
         """What each bin does to the output in windows, (n, k)."""
+        from scipy.signal import lfilter  # takes a second to load
+
         parts = []
         for a, b, record, windowed in zip(self.cuts[:-1], self.cuts[1:], self.records, self.windows, strict=True):
             part = indicators[a:b]

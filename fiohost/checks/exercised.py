@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.signal import welch
 
 from fiohost.checks.counts import quantum_of
 from fiohost.checks.said import Said
@@ -137,6 +136,8 @@ def _starts(motion: _Motion) -> int:
 
 def _useful_hz(motions: Sequence[_Motion]) -> float | None:
     """Highest frequency up to which the movement stands above the readings' error, in the log that goes highest."""
+    from scipy.signal import welch  # takes a second to load
+
     found = []
     for m in motions:
         samples = round(SEGMENT_S / m.sample_s)

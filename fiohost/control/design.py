@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import qmc
 
 from fiohost.control.closed_loop import Plant
 from fiohost.control.settings import KINDS, ControlSettings
@@ -295,6 +294,8 @@ class _Search:
 
     def points(self) -> list[np.ndarray]:
         """Points all over the range of the gains, the same each time."""
+        from scipy.stats import qmc  # takes a second to load
+
         points = qmc.Sobol(len(self.bounds), seed=1).random_base2(LOOKS[len(self.bounds)])
         return [self.bounds[:, 0] + point * np.ptp(self.bounds, axis=1) for point in points]
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.special import gammaincinv
-from scipy.stats import f
+from scipy.special import fdtri, gammaincinv
 
 from fiohost.discover.settings import SETTINGS
 
@@ -68,7 +67,8 @@ def _lines(parts: Sequence[Series]) -> list[float]:
             total, known = total + over, known + 1
     if not known:
         return []
-    peaks = _peaks(total, known * f.isf(LINES.chance / len(grid), 2 * known, 4 * known * LINES.around * LINES.knows))
+    least = 1.0 / float(fdtri(4 * known * LINES.around * LINES.knows, 2 * known, LINES.chance / len(grid)))
+    peaks = _peaks(total, known * least)
     found: list[float] = []
     for i in peaks[np.argsort(total[peaks])[::-1]]:
         if all(abs(float(grid[i]) - other) > LINES.same / longest for other in found):

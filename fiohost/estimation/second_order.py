@@ -14,7 +14,6 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import sandwich
@@ -95,6 +94,8 @@ def _held(omega: float, zeta: float, tick: float) -> tuple[np.ndarray, np.ndarra
 
 def _columns(record: LoopRecord, omega: float, zeta: float) -> np.ndarray:
     """Responses (n, 3): to the reference from zero state, to an angle of one at the start, to a speed of one."""
+    from scipy.signal import lfilter  # takes a second to load
+
     a, b = _held(omega, zeta, record.tick_s)
     past = [1.0, -(a[0, 0] + a[1, 1]), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]]
     impulse = np.zeros(len(record.ref_deg))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from fiohost.discover.whitened import motor_of, noise_of
 from fiohost.errors import DataError
@@ -149,9 +149,9 @@ def _spread(
         if not squares[j]:
             spread[:, j] = spread[:, max(j - 1, 0)]
             continue
-        wide = np.quantile(np.array(squares[j]), quantile, axis=0) / chi2.ppf(quantile, freedoms)
+        wide = np.quantile(np.array(squares[j]), quantile, axis=0) / chdtri(freedoms, 1.0 - quantile)
         spread[:-1, j] = np.maximum(wide, 1.0)
-        spread[-1, j] = max(float(np.quantile(powers[j], quantile)) / norm.ppf(quantile), 1.0)
+        spread[-1, j] = max(float(np.quantile(powers[j], quantile)) / ndtri(quantile), 1.0)
         if j:  # of longer looks there are fewer that are independent
             spread[:, j] = np.maximum(spread[:, j], 0.8 * spread[:, j - 1])
     return spread
