@@ -93,6 +93,15 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
     assert found.verdict == "no_missing_effect"
 
 
+def test_a_torque_that_swings_by_the_clock_is_no_random_one() -> None:
+    """Weights take it for one that wanders."""
+    ripple: dict[str, float | str] = {"clock_ripple.level_pct": 1.0, "clock_ripple.frequency_hz": 0.65}
+    records = suite(truth_model(("coulomb_friction", "clock_ripple"), ripple), 3, 20.0)
+    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=())
+    assert found.verdict == "unexplained"
+    assert "time" in found.depends_on
+
+
 def test_whole_runs_under_a_random_torque_are_not_begun_anew_in_before_windows_are_asked() -> None:
     said: list[str] = []
     library = ("constant_load", "quadratic_drag")

@@ -205,6 +205,8 @@ class SearchSettings:
     # A share of the missing torque that follows the angle, the speed or the duty, or a gain or a friction that changes
     # in a run, is no noise. Commands that nobody logged, in 1 % of the rows, look like a tenth.
     follows: float = 0.2
+    # Nor is a load that runs have in common beside how they scatter: by this chance a bench that has none looks so.
+    shared_load: float = 1e-3
     # Nor is a torque that wanders by more than this share of full duty rms: benches that were measured stay below 2 %.
     most_torque_pct: float = 5.0
     # Nor is one of more than this share of the commands' rms: a linear axis without its friction, driven at a fifth of

@@ -155,4 +155,5 @@ class WeighedWindows(PlainWindows):
         own, *estimates = ([varied(m, v) for v in by_run] for m in (stage.fit.model, *stage.scattered_models))
         records = drawing(self.train, replace(noise, runs=NO_SCATTER))
         starts, s = [j.start for j in stage.judgements], self.settings
-        return ruled(records, own, estimates, starts, self.rng, noise, s.follows, s.gumbel_sigmas)
+        shared = ("shared_load",) if noise.runs.shares_load(s.shared_load) else ()
+        return shared + ruled(records, own, estimates, starts, self.rng, noise, s.follows, s.gumbel_sigmas)

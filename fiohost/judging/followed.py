@@ -165,8 +165,8 @@ class _Torque:
         return replace(self, torque=left)
 
     def shares(self) -> dict[str, float]:
-        """The shares that follow the angle in either direction, speed and duty, and those of a friction and a gain that
-        are others in each stretch of a record, beside its mean.
+        """The shares that follow the angle in either direction, speed and duty, that which swings at one frequency by
+        the clock, and those of a friction and a gain that are others in each stretch of a record, beside its mean.
         """
         weight, columns, drifts = float(self.torque @ self.torque), self.regressors[:, 1:], np.zeros(2)
         for begin, end in pairwise(self.edges):
@@ -177,11 +177,29 @@ class _Torque:
                 spans = np.sum(by**2, axis=0)
                 drifts += np.divide((by.T @ self.torque[part]) ** 2, spans, out=np.zeros(2), where=spans > 0.0)
         drifts = drifts / weight if weight > 0.0 else drifts
-        followed = {n: self.share(n) for n in ("speed", "duty")}
+        followed = {n: self.share(n) for n in ("speed", "duty")} | {"time": self.swinging()}
         if "angle" in self.bins:
             each_way = 3 * self.bins["angle"] + self.bins["speed_sign"]
             followed["angle_and_speed_sign"] = _explained(self.torque, each_way, weight)
         return followed | dict(zip(("friction_drift", "gain_drift"), drifts.tolist(), strict=True))
+
+    def swinging(self) -> float:
+        """The largest share that swings at one frequency, with a phase of its own in each record (Schuster 1898)."""
+        spans = [(self.torque[a:b], self.values["time"][a:b]) for a, b in pairwise(self.edges)]
+        longest_s = max(float(times[-1] - times[0]) for _, times in spans)
+        taken: np.ndarray | float = 0.0
+        for torque, times in spans:
+            step_s = float(times[-1] - times[0]) / (len(times) - 1)
+            # Of a long record all samples would fill the memory: means of a quarter of the fastest period do.
+            block = max(1, int(1.0 / (4.0 * TORQUE.fastest_hz * step_s)))
+            means = torque[: len(torque) // block * block].reshape(-1, block).mean(axis=1)
+            # On a grid of four points for each frequency that the longest record tells apart.
+            grid_hz = np.arange(4.0 * TORQUE.periods, 4.0 * longest_s * TORQUE.fastest_hz) / (4.0 * longest_s)
+            size = 1 << int(np.ceil(np.log2(8 * len(means))))
+            power = 2.0 * block * np.abs(np.fft.rfft(means, size)) ** 2 / len(means)
+            taken = taken + np.interp(grid_hz, np.fft.rfftfreq(size, block * step_s), power, right=0.0)
+        weight = float(self.torque @ self.torque)
+        return float(np.max(taken, initial=0.0)) / weight if weight > 0.0 else 0.0
 
     def by_chance(self, rng: np.random.Generator) -> np.ndarray:
         """The shares (shifts, variables) of the torque of each record at another time and with either sign."""

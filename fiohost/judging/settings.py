@@ -70,6 +70,9 @@ class TorqueSettings:
     # A gain or a friction that changes in a run is looked for in stretches of so long: several correlation times of any
     # noise, and no more than what warms takes.
     stretch_s: float = 10.0
+    # What swings by the clock goes through so many periods in the longest record, and is no faster than this.
+    periods: int = 3
+    fastest_hz: float = 10.0
 
 
 FLOOR, VERDICT, TORQUE = FloorSettings(), VerdictSettings(), TorqueSettings()

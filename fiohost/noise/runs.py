@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import stdtr
 
 from fiohost.motor.hooks import EFFECT_INDEX
 from fiohost.motor.model import Model, slot
@@ -46,12 +48,14 @@ NO_PULL = Pull(np.zeros((3, 3)), np.zeros(3))
 @dataclass(frozen=True)
 class RunToRun:
     """Standard deviations (3) of gain (share), dry friction (share) and offset load (percent of duty) over runs, their
-    95 % intervals (3, 2), and by run the most likely values (3), shrunk to none by what the run does not say.
+    95 % intervals (3, 2), and by run the most likely values (3), shrunk to none by what the run does not say;
+    ``common_load`` is the runs' mean load over its standard error, nil where the load does not scatter.
     """
 
     sd: np.ndarray
     ci95: np.ndarray
     by_run: dict[str, np.ndarray] = field(default_factory=dict)
+    common_load: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -66,6 +70,11 @@ class RunToRun:
             return self.sd
         rms = np.sqrt(np.mean(np.square(list(self.by_run.values())), axis=0))
         return np.where(self.sd > 0.0, np.maximum(self.sd, rms), 0.0)
+
+    def shares_load(self, chance: float) -> bool:
+        """Whether the runs have a load in common (Student 1908), but for so small a ``chance``: it does not differ."""
+        free = len(self.by_run) - 1
+        return free > 0 and 2.0 * float(stdtr(free, -abs(self.common_load))) < chance
 
     def likely_sd(self, rng: np.random.Generator) -> np.ndarray:
         """``sd`` (3) as it may be, one draw: few runs say little of how they scatter (Student 1908). What they have in
@@ -121,8 +130,23 @@ def shifted(p: np.ndarray, on: np.ndarray, own: np.ndarray) -> tuple[np.ndarray,
     return p, on
 
 
-def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
-    """-2 log restricted likelihood (looks) of scatters (looks, 3), the mean over runs free, but for a constant."""
+class _Mean(NamedTuple):
+    """The runs' mean for each of some looks at how they scatter: how well it is known (``values``, looks by 3; one
+    where it is not ``seen``) along ``vectors`` (looks, 3, 3), how it is pulled ``along`` them (looks, 3), and the
+    ``deviance`` (looks) of the scatter about it.
+    """
+
+    values: np.ndarray
+    vectors: np.ndarray
+    seen: np.ndarray
+    along: np.ndarray
+    deviance: np.ndarray
+
+
+def _mean_of(pulls: Sequence[Pull], sds: np.ndarray) -> _Mean:
+    """The runs' mean under scatters (looks, 3): generalised least squares, and -2 log restricted likelihood, the mean
+    free, but for a constant.
+    """
     information = np.array([pull.information for pull in pulls])  # (runs, 3, 3)
     score = np.array([pull.score for pull in pulls])[:, :, None]
     rows, columns = sds[:, None, :, None], sds[:, None, None, :]
@@ -139,7 +163,22 @@ def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
     explained = np.sum(scaled * (inverse @ scaled), axis=(1, 2, 3)) + np.sum(
         np.where(seen, along**2 / values, 0.0), axis=1
     )
-    return np.asarray(np.linalg.slogdet(inner)[1].sum(axis=1) + np.log(values).sum(axis=1) - explained)
+    deviance = np.linalg.slogdet(inner)[1].sum(axis=1) + np.log(values).sum(axis=1) - explained
+    return _Mean(values, vectors, seen, along, np.asarray(deviance))
+
+
+def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
+    return _mean_of(pulls, sds).deviance
+
+
+def _common_load(pulls: Sequence[Pull], sd: np.ndarray) -> float:
+    """The runs' mean load under a scatter (3), over its standard error; nil where the load does not scatter."""
+    if sd[LOAD] <= 0.0:
+        return 0.0
+    mean = _mean_of(pulls, sd[None])
+    by_load = np.where(mean.seen[0], mean.vectors[0, LOAD], 0.0)
+    variance = float(by_load**2 @ (1.0 / mean.values[0]))
+    return float(by_load @ (mean.along[0] / mean.values[0])) / float(np.sqrt(variance)) if variance > 0.0 else 0.0
 
 
 def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
@@ -175,7 +214,8 @@ def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) ->
         deviances = profile(k)
         inside = grids[k][deviances <= deviances.min() + settings.interval_deviance]
         ci95[k] = inside[0], inside[-1]
-    return RunToRun(sd, ci95, {name: likeliest(pull, sd) for name, pull in pulls.items()})
+    own = {name: likeliest(pull, sd) for name, pull in pulls.items()}
+    return RunToRun(sd, ci95, own, _common_load(parts, sd))
 
 
 def likeliest(pull: Pull, sd: np.ndarray) -> np.ndarray:

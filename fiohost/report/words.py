@@ -30,6 +30,7 @@ FOLLOWS = {
     "time": "the time",
     "gain_drift": "a gain that changes in a run",
     "friction_drift": "a friction that changes in a run",
+    "shared_load": "a load that all runs have in common",
     "acceleration": "the acceleration",
     "reversals": "reversals",
     "starts": "starts from rest",
