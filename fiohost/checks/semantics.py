@@ -166,8 +166,11 @@ def _running_at_zero(part: Record) -> int:
 
 
 def _fast(asked: Asked) -> Fit:
-    """The declared model with fast decay, from the best of a few electrical lags; roughly, where it is no good."""
-    models = [asked.guess.with_effect("fast_decay", {"electrical_tau_s": tau}) for tau in DECAY_LAGS_S]
+    """The declared model with fast decay, from the best of a few electrical lags, or with that which is declared;
+    roughly, where it is no good.
+    """
+    lags = DECAY_LAGS_S[:1] if LAG in asked.guess.effects else DECAY_LAGS_S
+    models = [asked.guess.with_effect("fast_decay", {"electrical_tau_s": tau}) for tau in lags]
     rough = min(each(lambda m: fit_windows(m, asked.parts, ROUGH), models), key=lambda f: f.cost)
     return rough if rough.rms > asked.base.rms else fit_windows(rough.model, asked.parts, FIRST)
 
@@ -240,8 +243,8 @@ def ask(records: Sequence[Record], said: Sequence[Said], model: Model, *, from_f
         return None
     lags = () if "linear.tau_s" in model.fixed else LAGS_S
     starts = [guess.with_values({"linear.tau_s": tau}) for tau in lags]
-    starts += [model] if from_file or not starts else []
-    near = best_of(starts, lambda m: fit_windows(m, parts, FIRST))
-    asked = Asked(records, parts, starts[len(starts) // 2], near, floor_of(near, parts))
+    usual = starts[len(starts) // 2] if starts else model
+    near = best_of([*starts, model] if from_file else starts or [model], lambda m: fit_windows(m, parts, FIRST))
+    asked = Asked(records, parts, usual, near, floor_of(near, parts))
     questions = (_when(asked, said), _zero(asked, said), _between(asked))
     return Semantics(questions, asked.floor, sum(p.seconds for p in parts))

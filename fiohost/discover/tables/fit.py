@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
@@ -91,8 +92,8 @@ class Rows:
         return self.tables[place.table].predict(plant, place.index, constants[place.table])
 
     def in_floors(self, place: Place, predicted: Mapping[str, float]) -> np.ndarray:
-        values = np.array([predicted[f.name] / f.floor for f in self.figures(place)])
-        return np.asarray(np.nan_to_num(values, nan=FAR_OFF, posinf=FAR_OFF, neginf=-FAR_OFF))
+        values = (predicted[f.name] / f.floor for f in self.figures(place))
+        return np.array([v if isfinite(v) else (-FAR_OFF if v < 0.0 else FAR_OFF) for v in values])
 
 
 def squares(left: np.ndarray) -> float:

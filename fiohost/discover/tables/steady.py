@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from math import isfinite
 
 import numpy as np
@@ -25,6 +26,8 @@ from fiohost.motor.state import DRIVE, GAIN, OMEGA, STATE_SIZE, TAU, THETA
 
 # The kernel locates so many events a step that one of this length never runs out of them.
 STEP_S = 0.05
+# A command that acted before the first sample, and drives all along.
+SINCE, DRIVEN = np.array([-1.0]), np.full(2, DRIVE, dtype=np.int64)
 LAGS = 25.0
 LOAD_ON, LOAD = list(effects()).index("constant_load"), layout()["constant_load"]
 STALL_CURRENT, STALL_TORQUE, VISCOUS_SHARE = range(3)
@@ -68,19 +71,24 @@ def loaded(plant: Plant, load_pct: float) -> Plant:
     return plant._replace(p=p, on=on)
 
 
+@cache
+def _times(samples: int) -> np.ndarray:
+    return np.arange(samples) * STEP_S
+
+
 def operate(plant: Plant, duty_pct: float, settle_s: float, average_s: float) -> Operation:
     """Means over ``average_s`` after ``settle_s`` of a constant duty, from rest."""
     before, after = max(round(settle_s / STEP_S), 1), max(round(average_s / STEP_S), 1)
     p = plant.p.copy()
     p[TAU] = min(p[TAU], settle_s / LAGS)  # a motor that has not settled is no steady point, whatever its lag
-    times = np.arange(before + after + 1) * STEP_S
-    both = np.array([duty_pct, duty_pct])
-    modes = np.full(2, DRIVE, dtype=np.int64)
-    excitation = Excitation(times, np.array([-1.0]), both, modes)
+    times = _times(before + after + 1)
+    excitation = Excitation(times, SINCE, np.array([duty_pct, duty_pct]), DRIVEN)
     states = run(excitation, p, plant.on, plant.substep_s, np.zeros(STATE_SIZE))[before:]
     currents = np.empty(len(states))
     _currents(states, times[before:], duty_pct, p, plant.on, currents)
-    return Operation(float(states[-1, THETA] - states[0, THETA]) / (after * STEP_S), float(currents.mean()))
+    return Operation(
+        float(states[-1, THETA] - states[0, THETA]) / (after * STEP_S), float(currents.sum()) / len(currents)
+    )
 
 
 def held(plant: Plant, duty_pct: float, speed_deg_s: float) -> Operation:
