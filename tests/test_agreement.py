@@ -21,7 +21,9 @@ from short_runs import closed_loop, logs_of, multisine, plant_file, pulses, stai
 
 import fiohost
 import firmware_model
+from fiohost.bench.experiment import Experiment
 from fiohost.bench.log import Log
+from fiohost.bench.signals import Staircase
 from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
@@ -152,6 +154,20 @@ def test_under_fast_decay_what_flows_of_more_falls_before_it_ceases_in_each_puls
         beyond_deg = np.maximum(log.output - y, y - log.output - log.output_quantum)
         assert beyond_deg.max() <= 0.02, experiment.name
         assert np.ptp(log.output) > 20.0
+
+
+def test_a_current_that_ceases_in_each_period_is_more_than_mean_voltages_promise(tmp_path: Path) -> None:
+    """A shaft that coasts down is driven again where mean voltage and back-emf nearly balance: 22 deg off otherwise."""
+    changes = {"L_H": 0.003, "R_ohm": 5.5, "coulomb_Nm": 0.008}
+    plant = plant_file(tmp_path, changes, effects={"fast_decay": {}})
+    model = physical_model(plant).with_effect("fast_decay", {"electrical_tau_s": changes["L_H"] / changes["R_ohm"]})
+    levels = (*[62.0] * 8, *[3.0] * 3, *[60.0] * 4, *[3.0] * 3, *[60.0] * 4, *[3.0] * 3, *[60.0] * 8)
+    again = Staircase(duration_s=0.1 * len(levels), levels=levels, step_s=0.1)
+    (log,) = logs_of(f"sim:{plant}", tmp_path, [Experiment("driven_again", (again,))])
+    y = free_run(model, record_from_log(log).excitation, 0.25)
+    beyond_deg = np.maximum(log.output - y, y - log.output - log.output_quantum)
+    assert beyond_deg.max() <= 0.2
+    assert np.ptp(log.output) > 500.0
 
 
 def reduced(physical: dict[str, Any], plant: Path) -> dict[str, float | str]:

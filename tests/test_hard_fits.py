@@ -208,7 +208,7 @@ def test_a_gap_that_a_wrong_start_holds_fast_is_let_go(tmp_path: Path) -> None:
     stuck = fit(wide, records, starts=[starts[0], starts[1]._replace(play=0.83, drift=1.59)], lash=False)
     assert stuck.model.number("backlash.gap_deg") > 4.3
     found = thorough_fit(stuck, effect("backlash"), records, far_rms=0.0)
-    assert found.model.number("backlash.gap_deg") == pytest.approx(3.79, abs=0.01)
+    assert found.model.number("backlash.gap_deg") == pytest.approx(3.79, abs=0.03)
     assert found.cost < 0.95 * stuck.cost
 
 

@@ -28,6 +28,8 @@ PROMISED = 0.1
 # Windows are fitted along their tangent; to a tolerance below this one, with exact derivatives in the end.
 ALONG_TANGENT = 9e-6
 PLAY_ROUNDS = 2
+# Where steps left no more than this share of the squared error, windows are begun anew.
+MOVED_FAR = 0.9
 # The longest step of one iteration shrinks so with every attempt that does not pay, for a start by its reach.
 REACH_SHRINKS = 0.3
 
@@ -129,6 +131,15 @@ class _Problem:
         point.begins = [begins for _, begins in found]
         return [residual for residual, _ in found]
 
+    def begun_anew(self, point: _Point, residuals: list[np.ndarray]) -> tuple[_Point, list[np.ndarray]]:
+        """The same point, the windows of each record begun from its free run where they then leave less."""
+        anew = _Point(point.p, point.starts)
+        found = self.residuals(anew)
+        best = [float(new @ new) < float(old @ old) for new, old in zip(found, residuals, strict=True)]
+        begins = [n if b else o for n, o, b in zip(anew.begins, point.begins, best, strict=True)]
+        kept = [n if b else o for n, o, b in zip(found, residuals, best, strict=True)]
+        return replace(point, begins=begins), kept
+
     def columns(
         self, record: Record, start: Start, point: _Point, residual: np.ndarray, tangent: Tangent | None
     ) -> np.ndarray:
@@ -175,12 +186,22 @@ def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: flo
     cost = squared(residuals)
     damping = 1e-4
     converged = False
-    exactly = not problem.windows
+    exactly, begun = not problem.windows, cost
     jacobians = [np.zeros((len(r), len(problem.slots))) for r in residuals]
     nuisances = [np.empty((len(r), 0)) for r in residuals]
     if not np.isfinite(cost):
         max_iterations = 0
     for _ in range(max_iterations):
+        if converged:
+            # Windows that begin where steps led from afar may hold to another minimum than those of this model's run.
+            if not (problem.windows and cost < MOVED_FAR * begun):
+                break
+            point, residuals = problem.begun_anew(point, residuals)
+            was, cost = cost, squared(residuals)
+            converged = was - cost <= tolerance * cost
+            if converged:
+                break
+            begun, damping = cost, 1e-4
         jacobians, nuisances = problem.linearise(point, residuals, exactly)
         gradient = np.zeros(len(problem.slots))
         hessian = np.zeros((len(problem.slots),) * 2)
@@ -235,19 +256,16 @@ def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: flo
                 break
             damping = max(damping, 1e-6) * 8.0
         if not improved:
-            if exactly or tolerance > ALONG_TANGENT:
-                converged = True
-                break
-            exactly, damping = True, 1e-4
+            converged = exactly or tolerance > ALONG_TANGENT
+            if not converged:
+                exactly, damping = True, 1e-4
             continue
         gain = cost - new_cost
         point, residuals, cost = trial, new_residuals, new_cost
         damping = max(damping * 0.15, 1e-9)
         if gain <= tolerance * cost or cost < 1e-18:
-            if exactly or tolerance > ALONG_TANGENT:
-                converged = True
-                break
-            exactly = True
+            converged = exactly or tolerance > ALONG_TANGENT
+            exactly = exactly or not converged
     # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]
     return _Solved(point, residuals, projected, nuisances, cost, converged)

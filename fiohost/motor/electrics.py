@@ -226,7 +226,9 @@ def winding(omega, amps, time, duty, mode, per_gain, lag, lost, free, way, settl
             if special:  # it ceases or is limited in each period, and is free until it comes there
                 way = flows(amps, along - omega * per_gain, against - omega * per_gain)
                 tends = (along if way > 0.0 else against) - omega * per_gain - ohms * amps
-                free = 1 if way != 0.0 and (mean - amps) * tends > ALIKE * abs(tends) else 0
+                # One that begins each period at zero rises to more than mean voltages promise, within the period.
+                comes = (mean - amps) * tends > ALIKE * abs(tends) and abs(tends) > ohms * abs(mean - amps)
+                free = 1 if way != 0.0 and comes else 0
     if free != 1:
         return mean, (mean + omega * per_gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
     if way == 0.0:
