@@ -25,6 +25,8 @@ MOST_ROUNDS = 40
 CLOSE = 1e-9
 # A current is where it tends to when it is so near, beside how far it tends.
 ALIKE = 1e-9
+# A mean of one period is more than mean voltages promise where it is by so much: it is found to a billionth.
+BEYOND = 1e-6
 
 
 @part
@@ -226,9 +228,10 @@ def winding(omega, amps, time, duty, mode, per_gain, lag, lost, free, way, settl
             if special:  # it ceases or is limited in each period, and is free until it comes there
                 way = flows(amps, along - omega * per_gain, against - omega * per_gain)
                 tends = (along if way > 0.0 else against) - omega * per_gain - ohms * amps
-                # One that begins each period at zero rises to more than mean voltages promise, within the period.
-                comes = (mean - amps) * tends > ALIKE * abs(tends) and abs(tends) > ohms * abs(mean - amps)
-                free = 1 if way != 0.0 and comes else 0
+                # One that ceases in each period rises at once to its mean, which is more than mean voltages promise.
+                less = abs(tends) < (1.0 - BEYOND) * ohms * abs(mean - amps)
+                rises = less and amps * mean >= 0.0 and abs(amps) < abs(mean)
+                free = 1 if way != 0.0 and not rises and (mean - amps) * tends > ALIKE * abs(tends) else 0
     if free != 1:
         return mean, (mean + omega * per_gain if mode != STANDBY else 0.0), ohms, inf, 0.0, 2 if special else 0
     if way == 0.0:
