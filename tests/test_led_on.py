@@ -113,6 +113,19 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
     assert "gravity_load" not in fitted
 
 
+def test_an_effect_that_led_near_another_gives_its_place_to_it() -> None:
+    """A winding in which current ceases slowly begins too far off from gain and friction as they seem without it."""
+    values = {"linear.gain_deg_s_per_pct": 13.7, "linear.tau_s": 0.1, "coulomb_friction.level_pct": 5.0}
+    truth = truth_model(("coulomb_friction", "fast_decay"), {**values, "fast_decay.electrical_tau_s": 0.0007})
+    said: list[str] = []
+    library = ["fast_decay", "coast_pwm", "transport_delay"]
+    found = diagnose_records(
+        suite(truth, 3, 8.0), (), Model.parse("linear+coulomb_friction"), library=library, say=said.append
+    )
+    assert ([s.effect for s in found.steps], found.verdict) == (["fast_decay"], "explained"), said
+    assert "adding coast_pwm" in said
+
+
 def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[tuple[str, ...]] = []
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from bench_data import measure, steps, truth_model
 
-from fiohost.discover.null import BoundedDirections
+from fiohost.discover.null import BoundedDirections, draw_null
+from fiohost.discover.screen import Screen
 from fiohost.discover.settings import SETTINGS
+from fiohost.estimation.fit import fit
 from fiohost.judging.levels import levels_of
 
 # Sizes, phases of ten runs at three orders, and whatever lies between.
@@ -51,3 +54,17 @@ def test_one_window_in_which_a_shaft_stuck_does_not_say_what_all_reach() -> None
     stuck[500:550] += 40.0 * basis[500:550, 0] / np.linalg.norm(basis[500:550, 0])
     assert (stuck - white) @ basis[:, 0] > 5.0
     assert abs(bounded.along(stuck)[0] - bounded.along(white)[0]) < 1.2
+
+
+def test_few_samples_are_drawn_where_they_decide_and_are_the_first_of_all() -> None:
+    rng = np.random.default_rng(5)
+    records = [measure(truth_model(), steps(4.0, rng), rng)]
+    found = fit(truth_model(), records, windows=True)
+    screen = Screen(found, records, ())
+
+    def drawn(decided: bool) -> tuple[float, ...]:
+        return draw_null(found, records, screen, [], np.random.default_rng(6), decided=lambda null: decided).unevenness
+
+    few, whole = drawn(True), drawn(False)
+    assert (len(few), len(whole)) == (SETTINGS.draws_of_a_guide, SETTINGS.draws)
+    assert whole[: len(few)] == few

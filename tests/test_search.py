@@ -9,7 +9,7 @@ import pytest
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
-from fiohost.discover.null import Null
+from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain
 from fiohost.discover.search import Node, Search
 from fiohost.estimation.fit import Fit
@@ -104,7 +104,7 @@ class Beside:
     def passed_over(self) -> list[Candidate]:
         return []
 
-    def null(self, best: State) -> Null:
+    def null(self, best: State, decided: Decided = lambda null: False) -> Null:
         return Null(5.0, {}, ())
 
 
@@ -112,6 +112,40 @@ def test_an_effect_that_only_led_to_a_better_fit_of_another_is_not_named() -> No
     """Alone the first stops half-way, beside the other it does not, and from there the other is not needed."""
     search = Search(Table(), (FIRST, OTHER), lambda text: None)
     assert search.run(search.declared(Model(()), False)).names == {FIRST}
+
+
+def test_a_null_of_few_samples_decides_where_no_candidate_gains_about_what_it_has_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One gains 500 and the other 100, of which 1.5 times a level is asked, give or take a factor of two."""
+    told: list[bool] = []
+
+    def null(self: Beside, best: State, decided: Decided) -> Null:
+        told.extend(decided(Null(level, {}, ())) for level in (5.0, 40.0, 100.0, 250.0, 600.0, 1000.0))
+        return Null(5.0, {}, ())
+
+    monkeypatch.setattr(Beside, "null", null)
+    search = Search(Table(), (FIRST, OTHER), lambda text: None)
+    next(search.expand(search.declared(Model(()), False)))
+    assert told == [True, False, False, False, False, True]
+
+
+def test_a_third_effect_is_asked_for_beside_the_best_two_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = {(): 1e4, (FIRST,): 5000.0, (OTHER,): 5200.0, (THIRD,): 9000.0}
+    left |= {(FIRST, OTHER): 2500.0, (FIRST, THIRD): 2000.0, (OTHER, THIRD): 1500.0, (FIRST, OTHER, THIRD): 500.0}
+    for have, deviance in left.items():
+        for beside in (False, True):
+            monkeypatch.setitem(LEFT, (have, beside), deviance)
+    asked: list[set[str]] = []
+
+    def offered(self: Beside, library: Sequence[str] | None) -> tuple[list[Effect], list[Candidate]]:
+        asked.append(set(self.names))
+        return [effects()[n] for n in library or () if n not in self.names], []
+
+    monkeypatch.setattr(Beside, "offered", offered)
+    search = Search(Table(), (FIRST, OTHER, THIRD), lambda text: None)
+    assert search.run(search.declared(Model(()), False), most=3).names == {FIRST, OTHER, THIRD}
+    assert asked == [set(), {FIRST}, {OTHER}, {OTHER, THIRD}]
 
 
 def test_a_search_ends_where_no_structure_can_explain_the_data() -> None:

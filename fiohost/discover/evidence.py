@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
-from fiohost.discover.null import Null
+from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.estimation.fit import Fit
@@ -95,9 +95,9 @@ class Beside(Protocol):
     def passed_over(self) -> list[Candidate]:
         """How those did that were not refitted to the end."""
 
-    def null(self, best: State) -> Null:
+    def null(self, best: State, decided: Decided = lambda null: False) -> Null:
         """What chance reaches, with the noise that the best candidate leaves: were nothing missing, it would be the
-        state's own.
+        state's own. No more is drawn for it once it has ``decided``.
         """
 
 
@@ -141,6 +141,12 @@ class Evidence(ABC, Generic[J]):
     @abstractmethod
     def gain(self, before: State, after: State) -> Gain:
         """How much less deviance one state leaves than another in data left out of their fits."""
+
+    def in_place_of(
+        self, state: State, name: str, library: Sequence[str] | None, say: Progress
+    ) -> list[tuple[Effect, State]]:
+        """Other effects in the place of one of a state's, begun from where that led the others."""
+        return []
 
     def as_good(self, state: State, best: State) -> bool:
         """Whether the data tell a state from the best one no more than chance does."""

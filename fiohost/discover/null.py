@@ -6,7 +6,7 @@ windows and scores.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,10 @@ class Null:
         return self.levels.get(name, self.level)
 
 
+# Whether what is asked of a null is plain by a few samples: then no more are drawn (Besag and Clifford 1991).
+Decided = Callable[[Null], bool]
+
+
 class BoundedDirections:
     """Projections on directions (n, k) to which no window, of those that begin at ``edges`` (m), adds more than some
     standard deviations of white noise: one in which the shaft stuck, and the model's did not, says nothing of what all
@@ -62,8 +66,11 @@ def draw_null(
     scores: Sequence[Score],
     rng: np.random.Generator,
     settings: SearchSettings = SETTINGS,
+    decided: Decided = lambda null: False,
 ) -> Null:
-    """The null of a fit to ``records``, around which ``scores`` were taken in a ``screen``."""
+    """The null of a fit to ``records``, around which ``scores`` were taken in a ``screen``: by as many samples as a
+    guide is drawn by where that has ``decided``.
+    """
     directions = [d for s in scores for d in s.directions]
     owner = np.array([i for i, s in enumerate(scores) for _ in s.directions], dtype=int)
     columns = [np.empty((len(screen.residual), 0), np.float32), *(d.basis for d in directions)]
@@ -92,7 +99,18 @@ def draw_null(
         variance = 1.0 if fitted.windows else float(np.mean(np.concatenate(errors) ** 2))
         return block * own / max(variance, 1e-300), unevenness(errors, edges) if fitted.windows else 0.0
 
-    drawn = each(draw, rng.spawn(settings.draws))
+    rngs, few = rng.spawn(settings.draws), settings.draws_of_a_guide
+    drawn = each(draw, rngs[:few])
+    first = _of(drawn, screen, scores, settings)
+    if len(rngs) <= few or decided(first):
+        return first
+    return _of([*drawn, *each(draw, rngs[few:])], screen, scores, settings)
+
+
+def _of(
+    drawn: Sequence[tuple[np.ndarray, float]], screen: Screen, scores: Sequence[Score], settings: SearchSettings
+) -> Null:
+    """The null of what samples gain by each of the ``scores``, and how uneven they are."""
     gains = np.array([gain for gain, _ in drawn])  # (draws, effects)
     best = gains.max(axis=1, initial=0.0)
     level = float(best.mean() + settings.gumbel_sigmas * best.std(ddof=1))

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from fiohost.discover.candidate import Progress
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State, deviance_of
 from fiohost.discover.folds import folds
@@ -26,6 +27,7 @@ from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
 from fiohost.judging.followed import dependences
 from fiohost.judging.stage import Stage, judged
+from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
 
 
@@ -94,6 +96,11 @@ class Logs(Evidence[Stage]):
 
     def beside(self, state: State) -> LogsBeside:
         return LogsBeside(self, state)
+
+    def in_place_of(
+        self, state: State, name: str, library: Sequence[str] | None, say: Progress
+    ) -> list[tuple[Effect, State]]:
+        return LogsBeside(self, state).in_place_of(name, library, say)
 
     def without(self, state: State, name: str) -> State:
         return self.settled(again(state.fit, state.fit.model.without([name]), state.records))

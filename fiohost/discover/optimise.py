@@ -88,6 +88,13 @@ def begun(base: Fit, score: Score, records: Sequence[Record]) -> list[Fit]:
     return sorted(fits, key=lambda f: f.cost)[: 1 if base.windows else None]
 
 
+def nearest_of(base: Fit, models: Sequence[Model], records: Sequence[Record]) -> tuple[float, Model]:
+    """Of several models that which as it is leaves the least squared error, and that error."""
+    costs = [_plain_cost(base, m, records) for m in models]
+    least = int(np.argmin(costs))
+    return costs[least], models[least]
+
+
 def gone_on(ahead: Sequence[Fit], records: Sequence[Record]) -> Fit:
     """The best of fits that were begun, after a few more steps of each."""
     return min((*ahead, *(_on(f, records, 4) for f in ahead)), key=lambda f: f.cost)

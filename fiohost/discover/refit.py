@@ -12,8 +12,18 @@ import numpy as np
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
 from fiohost.discover.moments import fit_event, moment_of
-from fiohost.discover.null import Null, draw_null
-from fiohost.discover.optimise import OPTIMISER, begun, carried_on, cost_of, fits_anew, gone_on, thorough_fit
+from fiohost.discover.null import Decided, Null, draw_null
+from fiohost.discover.optimise import (
+    OPTIMISER,
+    again,
+    begun,
+    carried_on,
+    cost_of,
+    fits_anew,
+    gone_on,
+    nearest_of,
+    thorough_fit,
+)
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.estimation.fit import Fit
@@ -184,6 +194,23 @@ class LogsBeside:
                 best[jobs[i].name] = jobs[i].score.effect, state
         return best
 
+    def in_place_of(self, name: str, library: Sequence[str] | None, say: Progress) -> list[tuple[Effect, State]]:
+        """Other effects in the place of one of the state's, begun from where that led the model's other parameters.
+
+        From the declared model no gradient leads to some: under a bridge that opens in each pulse gain and friction are
+        far from what they seem.
+        """
+        screen, s = self.screens[-1], self.logs.settings
+        rest = screen.fit.model.without([name])
+        ways = [(e, [rest.with_effect(e.name, t) for t in e.tried(screen.span)]) for e in self.offered(library)[0]]
+        ways = [(e, models) for e, models in ways if models and not e.once]
+        say(f"{len(ways)} effects in the place of {name}")
+        nearest = each(lambda way: nearest_of(screen.fit, way[1], screen.records), ways)
+        order = sorted(range(len(ways)), key=lambda i: nearest[i][0])[: s.finalists_in_windows]
+        jobs = [Job(Score(ways[i][0], 0.0, (), ()), screen.fit, screen.records) for i in order]
+        rough = each(lambda i: again(screen.fit, nearest[i][1], screen.records, 8, 1e-2), order)
+        return list(self.carried(jobs, rough, self.logs.floor_rms(self.state)).values())
+
     def leaves_noise(self, state: State, names: Sequence[str]) -> bool:
         """Whether what a state leaves may be noise, and its fit with the effects ``names`` may be believed."""
         return not (self.logs.no_noise(state) or self.logs.degenerate(state, names))
@@ -267,13 +294,13 @@ class LogsBeside:
         scores = [s for s in self.ranked[0] if s.effect.name not in self.taken]
         return [Candidate(s.effect.name, s.share, "scores less than those refitted") for s in scores]
 
-    def null(self, best: State) -> Null:
+    def null(self, best: State, decided: Decided = lambda null: False) -> Null:
         null, first = self.logs.chance(self.state, best), self.screens[0]
         screen, scores = first, self.ranked[0]
         if null is not self.state:
             screen = Screen(null.fit, null.records, first.span.lines_hz)
             scores = each(screen.score, [s.effect for s in self.ranked[0]])
-        return draw_null(null.fit, null.records, screen, scores, self.logs.rng, self.logs.settings)
+        return draw_null(null.fit, null.records, screen, scores, self.logs.rng, self.logs.settings, decided)
 
 
 def _bare(found: Fit) -> Fit:

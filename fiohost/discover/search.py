@@ -9,7 +9,7 @@ another gives way by them. What is measured, and how, only the evidence knows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -141,11 +141,35 @@ class Search(Generic[J]):
         """The best structure that the data speak for, with so many effects at most."""
         beam, best, most = [root], root, most or self.settings.most_effects
         while len(best.added) < most and not (self.explains(best) or self.in_vain(best)):
-            beam = self.best_first(self.next_ones(beam))[: self.settings.beam]
+            beam = self.best_first(self.next_ones(beam))
+            # Beside more names than most motors lack, the best structure alone is carried on.
+            several = beam and len(beam[0].added) < self.settings.most_before_windows
+            beam = beam[: self.settings.beam if several else 1]
             if not beam or (best is not root and beam[0].price >= best.price):
                 break
             best = next((n for n in beam if self.explains(n)), beam[0])
+            if not self.explains(best) and (other := self.in_its_place(best, best.added[-1])):
+                beam = [other, *(n for n in beam if n.names != other.names)][: len(beam)]
+                best = other
         return self.exchanged(best)
+
+    def in_its_place(self, node: Node, named: Added) -> Node | None:
+        """A node with another effect in the place of one that was added, which led the fit to where that other explains
+        more; None where there is none.
+        """
+        e, was = self.evidence, named.child.name
+        found = [Child(of, state, 0.0) for of, state in e.in_place_of(node.state, was, self.library, self.say)]
+        better = [c for c in found if c.state.price < node.state.price]
+        if not better:
+            return None
+        others = tuple(a for a in node.added if a is not named)
+        before = named.before if named is node.added[-1] else Node(e.without(node.state, was), others)
+        null = Null(named.level, {}, ())
+        for child in self.best_first([replace(c, gain=before.state.deviance - c.state.deviance) for c in better]):
+            if self.objection(before, child, null) is None:
+                grown = self.grown(before, child, [child], named.level)
+                return grown if grown.price < node.price else None
+        return None
 
     def next_ones(self, beam: Sequence[Node], *, rival: Node | None = None) -> list[Node]:
         """The nodes with one more effect than those of a beam; the one that explains the data, where one does. Where
@@ -179,7 +203,8 @@ class Search(Generic[J]):
             # What is fitted without a name that was mistaken keeps to where that had led.
             rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
             told = self.told
-            first = self.best_first([*self.next_ones([rest], rival=best), best])[0]
+            led_to = None if self.explains(best) else self.in_its_place(best, earlier)
+            first = self.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), best])[0]
             self.told = told
             itself = first.added[-1].child.name == name and len(first.added) >= len(best.added)
             if first is not best and not itself and (self.explains(first) or not self.explains(best)):
@@ -229,7 +254,7 @@ class Search(Generic[J]):
         if not children:
             node.far = True
             return
-        null = beside.null(children[0].state)
+        null = beside.null(children[0].state, lambda null: not any(self.close(c, null) for c in children))
         whys = each(lambda c: self.objection(node, c, null), children)
         accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
         beyond = [c for c in children if c.gain > self.asked(c, null)] if not accepted else []
@@ -270,6 +295,11 @@ class Search(Generic[J]):
         """Whether left-out data gain by a candidate what is worth a name, be it this one or another."""
         e = self.evidence
         return e.immaterial(node.state, child.state) is None and e.gain(node.state, child.state).sure(self.settings)
+
+    def close(self, child: Child, null: Null) -> bool:
+        """Whether a null of few samples may be wrong about a candidate."""
+        asked, factor = self.asked(child, null), self.settings.plainly_told
+        return asked / factor < child.gain < factor * asked
 
     def asked(self, child: Child, null: Null) -> float:
         """The deviance that a candidate has to gain."""

@@ -156,8 +156,10 @@ class SearchSettings:
     # Null: bootstrap samples, and the 99 % point of the largest of the library, from a Gumbel distribution of their
     # mean and spread. So many know the level to a tenth where few runs differ; 40 give from half to half as much again.
     draws: int = 120
-    # So many do where nothing is believed by them: they say where to look next.
+    # So many do where nothing is believed by them, as they say where to look next; and where by them no candidate
+    # gains what it has to within a factor of plainly_told.
     draws_of_a_guide: int = 40
+    plainly_told: float = 2.0
     gumbel_sigmas: float = 3.137
     # Refitted, an effect's shape goes where chance is best for it: it has to gain so many times what chance reaches in
     # the screen.
@@ -198,7 +200,7 @@ class SearchSettings:
     # next, as warming, one record cannot tell from noise.
     least_further: float = 0.1
     # Search: so many structures are carried on beside each other, up to so many effects. Whole runs first look for so
-    # many: beside a third, which windows lead to, a step took a minute.
+    # many, and beside so many the best structure alone is carried on: a third, which windows lead to, takes minutes.
     beam: int = 2
     most_effects: int = 4
     most_before_windows: int = 2

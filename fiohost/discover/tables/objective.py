@@ -10,7 +10,7 @@ import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
-from fiohost.discover.null import Null
+from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain, at_a_bound
 from fiohost.discover.tables.evidence import Table
 from fiohost.discover.tables.fit import Rows, TableFit, fit_tables, shown_by_one_row, without_row
@@ -230,7 +230,7 @@ class TablesBeside:
                 found.append(Candidate(name, 1.0 - fitted.cost / max(self.base.cost, 1e-300), why))
         return found
 
-    def null(self, best: State) -> Null:
+    def null(self, best: State, decided: Decided = lambda null: False) -> Null:
         """Bootstrap samples of the figures' noise, and what each candidate's parameters take of them."""
         readings = self.readings
         size, rng = np.sqrt(readings.variance(best)), readings.rng
