@@ -114,8 +114,6 @@ def test_a_page_from_elsewhere_drives_nothing_though_it_knows_the_token(
         at_home = filled(ATTACK, PRESS=DRIVE, SOCKETS=sockets[:1], PAGES=pages[:1])
         assert browser.value(at_home) == ["open", "open"]
         run.until(lambda: run.drives(60.0))  # what was refused above is what drives
-        browser.close_tab()
-        run.until(run.braked)
 
         browser.open(f"http://{own}/?{token}")
         run.until(lambda: (browser.value("window.fiohostPanel ? fiohostPanel.columns[0].length : 0") or 0) > 20)
