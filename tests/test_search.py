@@ -9,9 +9,10 @@ import pytest
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
+from fiohost.discover.nodes import Node
 from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain
-from fiohost.discover.search import Node, Search
+from fiohost.discover.search import Search
 from fiohost.estimation.fit import Fit
 from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model

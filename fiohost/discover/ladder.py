@@ -10,9 +10,10 @@ import numpy as np
 
 from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
 from fiohost.discover.candidate import Progress
+from fiohost.discover.nodes import Node
 from fiohost.discover.objective import PlainWindows, WholeRuns
 from fiohost.discover.optimise import chosen_again
-from fiohost.discover.search import Node, Search
+from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
 from fiohost.discover.weighed import WeighedWindows

@@ -12,8 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from fiohost import __version__
 from fiohost.discover.candidate import Progress
+from fiohost.discover.nodes import Node
 from fiohost.discover.result import clean
-from fiohost.discover.search import Node, Search
+from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
 from fiohost.discover.tables.evidence import Table

@@ -7,7 +7,8 @@ from math import sqrt
 
 import numpy as np
 
-from fiohost.discover.search import Child, Node, Search
+from fiohost.discover.nodes import Child, Node
+from fiohost.discover.search import Search
 from fiohost.discover.tables.fit import TableFit, without_row
 from fiohost.discover.tables.objective import Readings, not_shown
 from fiohost.errors import ConfigError
