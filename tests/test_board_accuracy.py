@@ -5,7 +5,6 @@ Short records of every effect and of a few pairs drawn anew at each run. ``bench
 
 from __future__ import annotations
 
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from board_reference.compare import distance, driven, sensitivity, solved
 from board_reference.draws import SIZES, WINDING_H, drawn, drawn_pair, plant_with
+from draws import drawn_seed
 
 from firmware_model.plants import Plant
 from firmware_model.registry import effects
@@ -79,9 +79,10 @@ def test_kernel_follows_the_tight_reference(name: str, winding: str) -> None:
 
 @pytest.mark.parametrize("draw", range(PAIRS))
 def test_a_pair_drawn_now_follows_the_tight_reference(draw: int) -> None:
-    seed = secrets.randbelow(2**31)  # new at every run, named where it fails
+    seed = drawn_seed(draw)
     plant = drawn_pair(np.random.default_rng(seed))
-    assert not misses(plant, seed, DRAWN_ALLOWED_DEG), f"seed {seed}: {dict(plant.effects)}"
+    print(f"seed {seed}: {dict(plant.effects)}")  # shown where it fails
+    assert not misses(plant, seed, DRAWN_ALLOWED_DEG)
 
 
 def test_the_benchmark_of_speed_knows_every_effect(monkeypatch: pytest.MonkeyPatch) -> None:
