@@ -204,7 +204,9 @@ class LogsBeside:
         rest = screen.fit.model.without([name])
         ways = [(e, [rest.with_effect(e.name, t) for t in e.tried(screen.span)]) for e in self.offered(library)[0]]
         ways = [(e, models) for e, models in ways if models and not e.once]
-        say(f"{len(ways)} effects in the place of {name}")
+        if not ways:
+            return []
+        say(f"trying {len(ways)} others in the place of {name}")
         nearest = each(lambda way: nearest_of(screen.fit, way[1], screen.records), ways)
         order = sorted(range(len(ways)), key=lambda i: nearest[i][0])[: s.finalists_in_windows]
         jobs = [Job(Score(ways[i][0], 0.0, (), ()), screen.fit, screen.records) for i in order]
