@@ -203,6 +203,10 @@ class Span:
     lines_hz: tuple[float, ...] = ()
 
 
+# What follows the angle is frozen for no more of its swing; no step is shorter than this.
+SWING_DEG, SHORTEST_STEP_S = 90.0, 1e-3
+
+
 @dataclass(frozen=True)
 class Effect:
     """One physical effect, its equation and parameters, where it acts and what it cannot be told from.
@@ -215,7 +219,8 @@ class Effect:
     nothing; ``shown`` what readings show by themselves wherever it is tried, so that one record is enough; ``warms``
     what hangs on how warm the bench began, ``clocked`` what hangs on the bench's own time, from one log to the next.
     ``trials_for`` makes trials that depend on what the data cover. ``substep_s`` is the longest step over which the
-    effect may be frozen; ``opens`` says that the bridge is open, not shorted, between pulses; ``drives`` that
+    effect may be frozen, and so is a lag of the motor over ``steps_a_lag`` (0: it changes with the speed by nothing);
+    ``opens`` says that the bridge is open, not shorted, between pulses; ``drives`` that
     the effect may bring energy of its own, as a weight or a clock does.
     """
 
@@ -229,6 +234,7 @@ class Effect:
     stage: int = 0
     commonness: int = 5
     substep_s: float | None = None
+    steps_a_lag: float = 16.0
     angle_bound: bool = False
     equivalents: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
@@ -271,6 +277,19 @@ class Effect:
         """
         trials = self.trials_for(span) if self.trials_for else self.trials
         return [dict(t) for t in trials if all(p.allows(t[p.name]) for p in self.parameters if p.name in t)]
+
+    def step_s(self, own: Mapping[str, Value], lag_s: float, full_deg_s: float) -> float | None:
+        """The longest step of a motor with such a lag and full speed, ``own`` being the effect's parameters by their
+        names; None where one exact step serves. What follows the angle is frozen for a part of a swing; a step is no shorter than the
+        shortest: a motor that is faster follows at once, and a swing that is faster moves nothing.
+        """
+        if self.substep_s is None:
+            return None
+        most = [lag_s / self.steps_a_lag] if self.steps_a_lag else []
+        if self.angle_bound:
+            swings = float(own.get("order", max(len(self.points) / 2.0, 1.0)))
+            most.append(SWING_DEG / (swings * max(full_deg_s, 1e-9)))
+        return min([self.substep_s, *(max(m, SHORTEST_STEP_S) for m in most)])
 
     @property
     def everywhere(self) -> bool:

@@ -19,10 +19,6 @@ SCHEMA = "fiohost.model/1"
 # What the numbers of a model are in, and those of its file; on a linear axis files say metres.
 DEGREES, MILLIMETRES, METRES = "deg", "mm", "m"
 MM_PER_M = 1000.0
-# What depends on the state is frozen for no more than this part of the mechanical time constant, but a motor that is
-# faster than the shortest step follows at once.
-STEPS_A_LAG = 16.0
-SHORTEST_STEP_S = 1e-3
 # The frequency of the PWM where nothing says another.
 PWM_HZ = 20000.0
 LOWEST_PWM_HZ, HIGHEST_PWM_HZ = 10.0, 1e6
@@ -225,8 +221,13 @@ class Model:
 
     def substep_s(self) -> float:
         """Longest step of the kernel in s, 0 where each hold is one exact step."""
-        steps = [item.substep_s for item in self.parts() if item.substep_s is not None]
-        return min([*steps, max(self.number("linear.tau_s") / STEPS_A_LAG, SHORTEST_STEP_S)]) if steps else 0.0
+        lag_s, full_deg_s = self.number("linear.tau_s"), 100.0 * abs(self.number("linear.gain_deg_s_per_pct"))
+        steps = [item.step_s(self.of(item.name), lag_s, full_deg_s) for item in self.parts()]
+        return min((s for s in steps if s is not None), default=0.0)
+
+    def of(self, name: str) -> dict[str, Value]:
+        """An effect's own parameters by their names within it."""
+        return {p.name: self.values[f"{name}.{p.name}"] for p in effect(name).parameters}
 
 
 def _seen(table: Table) -> Seen | None:

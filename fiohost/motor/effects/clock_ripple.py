@@ -36,6 +36,7 @@ EFFECTS = (
         clocked=True,
         drives=True,
         substep_s=0.002,
+        steps_a_lag=0.0,
         commonness=7,
         signature="a line in the spectrum over time that stays where it is at any speed",
         parameters=(

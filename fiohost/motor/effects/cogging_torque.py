@@ -15,7 +15,8 @@ EFFECTS = (
         summary="ripple N times a turn",
         equation="load = level * sin(order * theta + phase)",
         acts_on="torque",
-        substep_s=0.0025,
+        substep_s=0.005,
+        steps_a_lag=0.0,
         angle_bound=True,
         signature="a line in the spectrum over the angle; its effect on the position falls with speed squared",
         parameters=(

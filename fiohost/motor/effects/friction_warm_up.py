@@ -20,6 +20,7 @@ EFFECTS = (
         acts_on="friction",
         stage=80,
         substep_s=0.005,
+        steps_a_lag=0.0,
         commonness=6,
         warms=True,
         signature="friction, not gain, drifts down while the shaft turns",

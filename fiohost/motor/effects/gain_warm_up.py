@@ -27,6 +27,7 @@ EFFECTS = (
         acts_on="current",
         stage=20,
         substep_s=0.005,
+        steps_a_lag=4.0,
         commonness=7,
         warms=True,
         signature="gain, not friction, drifts to a new level and returns at rest",

@@ -16,6 +16,7 @@ EFFECTS = (
         equation="load = level * sin(theta + phase)",
         acts_on="torque",
         substep_s=0.0025,
+        steps_a_lag=0.0,
         angle_bound=True,
         signature="missing torque once a turn, the same curve in both directions",
         parameters=(

@@ -15,6 +15,7 @@ EFFECTS = (
         acts_on="friction",
         stage=10,
         substep_s=0.0025,
+        steps_a_lag=8.0,
         signature="more friction while accelerating and braking than at steady speed",
         parameters=(Parameter("ratio", "", 0.1, 0.0, 0.95, step=1e-4),),
         trials=({"ratio": 0.1},),

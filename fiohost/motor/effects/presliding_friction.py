@@ -20,6 +20,7 @@ EFFECTS = (
         equation="friction = level * z / breakaway; dz/dt = omega - |omega| z / breakaway",
         acts_on="friction",
         substep_s=0.00125,
+        steps_a_lag=8.0,
         commonness=6,
         signature="springy motion of a few counts at reversals and below break-away",
         parameters=(Parameter("breakaway_deg", "deg", 0.5, 0.0, 30.0, step=0.01),),

@@ -14,6 +14,7 @@ EFFECTS = (
         equation="load = pct_at_1000_deg_s * (omega / 1000 deg/s) * |omega / 1000 deg/s|",
         acts_on="torque",
         substep_s=0.005,
+        steps_a_lag=8.0,
         commonness=6,
         signature="steady speed bends below a straight line at high duty, the same in both directions",
         parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),),

@@ -22,6 +22,7 @@ EFFECTS = (
         acts_on="friction",
         stage=10,
         substep_s=0.0025,
+        steps_a_lag=8.0,
         signature="missing torque that falls as the speed rises; stick-slip at slow speeds",
         parameters=(
             Parameter("extra_pct", "%", 2.0, 0.0, 50.0),

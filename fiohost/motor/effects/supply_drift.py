@@ -15,6 +15,7 @@ EFFECTS = (
         acts_on="current",
         clocked=True,
         substep_s=0.005,
+        steps_a_lag=0.0,
         signature="the same trend of gain in both directions and at rest",
         parameters=(Parameter("pct_per_100_s", "%", 2.0, -90.0, 90.0),),
         trials=({"pct_per_100_s": -3.0},),

@@ -19,6 +19,7 @@ EFFECTS = (
         acts_on="current",
         stage=30,
         substep_s=0.005,
+        steps_a_lag=4.0,
         commonness=4,
         signature="large steps are slower, steady speeds hardly",
         parameters=(

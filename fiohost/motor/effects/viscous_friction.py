@@ -27,6 +27,7 @@ EFFECTS = (
         equation="load = pct_at_1000_deg_s * omega / 1000 deg/s; beside it the gain is that of the back-emf alone",
         acts_on="torque",
         substep_s=0.005,
+        steps_a_lag=4.0,
         commonness=5,
         signature="none while the bridge drives or brakes, where it is part of the gain; a coasting shaft slows faster",
         parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),),
@@ -40,6 +41,7 @@ EFFECTS = (
         equation="load = pct_at_1000_deg_s * omega / 1000 deg/s where it turns in the direction, else 0",
         acts_on="torque",
         substep_s=0.005,
+        steps_a_lag=4.0,
         commonness=6,
         signature="missing torque in proportion to speed in one direction only; gain and lag differ by direction",
         parameters=(
@@ -59,6 +61,7 @@ EFFECTS = (
         equation="load = pct_at_1000_deg_s * asinh(omega / knee) / asinh(1000 deg/s / knee)",
         acts_on="torque",
         substep_s=0.0025,
+        steps_a_lag=8.0,
         commonness=6,
         signature="missing torque that rises steeply at low speed and flattens, the same in both directions",
         parameters=(
