@@ -193,6 +193,13 @@ def test_a_piece_of_a_record_goes_on_where_the_one_before_ended() -> None:
         assert judge(piece, truth).errors.window_rms < 0.17
 
 
+def test_a_piece_of_a_record_knows_what_is_known_of_its_sensor() -> None:
+    rng = np.random.default_rng(17)
+    record = replace(measure(truth_model(), steps(10.0, rng), rng), noise_rms=0.3, quantum_found=True, regular=True)
+    for piece in folds([record])[0]:
+        assert (piece.noise_rms, piece.quantum_found, piece.regular) == (0.3, True, True)
+
+
 def test_a_record_is_cut_where_its_command_has_long_been_the_same() -> None:
     truth, rng = truth_model(), np.random.default_rng(24)
     record = measure(truth, np.repeat((12.0, -12.0, 25.0, -25.0), 1000), rng)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from bench_data import suite, truth_model
+from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
@@ -85,6 +85,33 @@ def test_the_best_scores_are_enough_where_more_would_change_nothing() -> None:
     assert rough(runs, names, full) == enough
     assert rough(windows, names) == enough
     assert rough(windows, names[1:]) == len(names) - 1
+
+
+def test_long_runs_are_tried_at_their_beginnings_first() -> None:
+    """What follows these is fitted to all; where the shaft wanders from all models there, nothing is."""
+    rng = np.random.default_rng(6)
+    names = ("quadratic_drag", "viscous_friction", "duty_curve")
+    truth = truth_model(("quadratic_drag",), {"quadratic_drag.pct_at_1000_deg_s": 8.0})
+    record = measure(truth, steps(400.0, rng), rng)
+    wanders = np.cumsum(0.2 * rng.standard_normal(len(record)))
+
+    def asked(record: Record) -> tuple[list[str], float, float]:
+        """What is refitted, the error of the best over the floor, and to how many samples."""
+        runs = WholeRuns([record])
+        state = runs.declared(Model.parse("linear"), False)
+        (screen,) = runs.screens(state)
+        jobs = [Job(screen.score(effect(n)), state.fit, screen.records) for n in names]
+        beside, floor = runs.beside(state), runs.floor_rms(state)
+        assert sum(r.seconds for r in beside.beginnings) <= 1.25 * SETTINGS.most_windows
+        left, fits = beside.rough(jobs, floor)
+        return [job.name for job in left], min(f.rms for f in fits) / floor, max(f.samples for f in fits)
+
+    left, above, samples = asked(record)
+    assert (left, samples > 0.9 * len(record)) == (["quadratic_drag"], True)
+    assert above < SETTINGS.lost
+    _, above, samples = asked(replace(record, y=record.y + wanders))
+    assert above > SETTINGS.lost
+    assert samples < 0.5 * len(record)
 
 
 def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> None:

@@ -22,6 +22,15 @@ def slices(record: Record, pieces: int) -> list[Record]:
     return [piece(record, a, b, f"{record.name} [{i + 1}/{pieces}]") for i, (a, b) in enumerate(pairs)]
 
 
+def beginning(record: Record, seconds: float) -> Record:
+    """The first of consecutive pieces of a record that are about so long; the record itself where it is no longer."""
+    pieces = int(record.seconds / seconds)
+    if pieces < 2:
+        return record
+    edges = _quiet_edges(record.excitation.duties_pct[1:], pieces)
+    return piece(record, 0, edges[1], f"{record.name} [1/{pieces}]")
+
+
 def piece(record: Record, first: int, end: int, name: str) -> Record:
     """The samples of a record from ``first`` up to ``end``, with an initial state of their own."""
     ex, a, b = record.excitation, first, end
@@ -41,6 +50,7 @@ def piece(record: Record, first: int, end: int, name: str) -> Record:
         own_zero=record.own_zero,
         segments=record.segments[a:b],
     )
+    found = replace(found, regular=record.regular, quantum_found=record.quantum_found, noise_rms=record.noise_rms)
     if a == 0:
         return replace(found, begins=record.begins)
     duties, modes = found.excitation.duties_pct.copy(), found.excitation.modes.copy()

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from fiohost.discover.folds import slices
+from fiohost.discover.folds import beginning
 from fiohost.discover.screen import Score, Trial, varied
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
@@ -131,7 +131,7 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
     records, in windows or whole as the base is; with their places among the ``scores``.
     """
     share = max(OPTIMISER.anew_s / len(records), OPTIMISER.anew_least_s)
-    parts = [slices(r, max(1, int(r.seconds / share)))[0] for r in records]
+    parts = [beginning(r, share) for r in records]
     first, then, last = OPTIMISER.anew_steps
 
     def in_windows(score: Score) -> Fit:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import zip_longest
 from typing import NamedTuple, Protocol
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
+from fiohost.discover.folds import beginning
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Decided, Null, draw_null
 from fiohost.discover.optimise import (
@@ -234,13 +236,29 @@ class LogsBeside:
             jobs += [Job(x, screen.fit, screen.records) for x in worth]
         return jobs
 
+    @cached_property
+    def beginnings(self) -> list[Record]:
+        """The beginnings of all whole runs, in all as long as what is searched of windows: what no effect follows there
+        none does to the end.
+        """
+        share_s = self.logs.settings.most_windows / len(self.state.records)
+        return [beginning(r, share_s) for r in self.state.records]
+
     def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> tuple[list[Job], list[Fit]]:
         """The jobs worth one, and their rough fits, without their arrays: of a long log, those of all would fill the
         memory. The best scores come first. Beside one at the floor those that score about as much follow, as the data
         may not tell them from it; none where windows reach it, by which nothing is believed, and where whole runs have
         a ``rival`` or are far from it with all of them. Few experiments may be explained by many effects: all follow.
+        Long runs are tried at their beginnings first, and only what follows these is fitted to all.
         """
         s = self.logs.settings
+        if self.logs.exact and any(r is not b for r, b in zip(self.state.records, self.beginnings, strict=True)):
+            tried = self._some_rough([job._replace(records=self.beginnings) for job in jobs], floor, None, ())
+            least = min((f.rms for f in tried), default=np.inf)
+            if least > s.lost * floor:
+                return list(jobs), tried
+            near = s.hopeless * max(least, floor) ** 2
+            jobs = [job for job, f in zip(jobs, tried, strict=True) if f.rms**2 <= near]
         first, rest = list(jobs[: s.least_refitted]), list(jobs[s.least_refitted :])
         found = self._some_rough(first, floor, rival, ())
         least = min((f.rms for f in found), default=np.inf)
