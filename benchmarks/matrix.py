@@ -127,7 +127,10 @@ def installed(row: Row, venv: Path, interpreter: str) -> str:
         return ""
     python, wanted = str(venv / "bin" / "python"), NUMPY[row.numpy].get(row.python)
     packages = [str(ROOT), *([f"numpy=={wanted}"] if wanted else [])]
-    for command in ([interpreter, "-m", "venv", str(venv)], [python, "-m", "pip", "install", "-q", *packages]):
+    quick = shutil.which("uv", path=str(Path(sys.executable).parent))
+    installer = [python, "-m", "pip"] if quick is None else [quick, "pip"]
+    chosen = [] if quick is None else ["--python", python, "--refresh-package", "fiohost"]
+    for command in ([interpreter, "-m", "venv", str(venv)], [*installer, "install", "-q", *chosen, *packages]):
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
         if done.returncode:
             shutil.rmtree(venv, ignore_errors=True)
