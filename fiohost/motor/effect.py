@@ -280,8 +280,8 @@ class Effect:
 
     def step_s(self, own: Mapping[str, Value], lag_s: float, full_deg_s: float) -> float | None:
         """The longest step of a motor with such a lag and full speed, ``own`` being the effect's parameters by their
-        names; None where one exact step serves. What follows the angle is frozen for a part of a swing; a step is no shorter than the
-        shortest: a motor that is faster follows at once, and a swing that is faster moves nothing.
+        names; None where one exact step serves. What follows the angle is frozen for a part of a swing; a step is no
+        shorter than the shortest: a motor that is faster follows at once, and a swing that is faster moves nothing.
         """
         if self.substep_s is None:
             return None
