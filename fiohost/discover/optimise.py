@@ -26,17 +26,19 @@ ENDLESS = 1e30
 OPTIMISER = SETTINGS.optimiser
 
 
-def _plain_cost(base: Fit, model: Model, records: Sequence[Record]) -> float:
-    """Squared error of a model begun as a fit's, offsets of whole runs apart."""
-    flat = Flat.of(model)
+def _plain_costs(base: Fit, models: Sequence[Model], records: Sequence[Record]) -> list[float]:
+    """Squared errors of models with the same effects, begun as a fit's, offsets of whole runs apart; how warm a record
+    was is guessed by the first of them.
+    """
+    starts = _starts(base, models[0], records) if models else []
 
-    def left(record: Record, start: Start) -> np.ndarray:
+    def left(record: Record, start: Start, flat: Flat) -> np.ndarray:
         error = errors(record, flat, start, base.windows)
         if base.windows:
             return error
         return error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
 
-    return squared(map(left, records, _starts(base, model, records)))
+    return [squared(map(partial(left, flat=Flat.of(m)), records, starts)) for m in models]
 
 
 def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:
@@ -90,7 +92,7 @@ def begun(base: Fit, score: Score, records: Sequence[Record]) -> list[Fit]:
 
 def nearest_of(base: Fit, models: Sequence[Model], records: Sequence[Record]) -> tuple[float, Model]:
     """Of several models that which as it is leaves the least squared error, and that error."""
-    costs = [_plain_cost(base, m, records) for m in models]
+    costs = _plain_costs(base, models, records)
     least = int(np.argmin(costs))
     return costs[least], models[least]
 
@@ -117,7 +119,8 @@ def _beginnings(base: Fit, score: Score, records: Sequence[Record]) -> list[Mode
         best_first = dict.fromkeys((0, *(trials.index(t) for t in score.raw[:1] if t in trials), *range(len(trials))))
         return [model(i, {}) for i in best_first if i < len(trials)][: OPTIMISER.window_starts]
     ways = [[model(i, own) for own in ({}, owns[i])[: 1 + bool(owns[i])]] for i in range(len(trials))]
-    costs = [[_plain_cost(base, m, records) for m in models] for models in ways]
+    left = iter(_plain_costs(base, [m for models in ways for m in models], records))
+    costs = [[next(left) for _ in models] for models in ways]
     order = varied(of, trials, sorted(range(len(trials)), key=lambda i: min(costs[i])))
     most = max(OPTIMISER.starts, len(score.trials)) if of.couples or of.points else OPTIMISER.starts
     # Where there are few trials, both ways: the one that leaves less at first may lead to another minimum.
@@ -138,7 +141,7 @@ def fits_anew(base: Fit, scores: Sequence[Score], records: Sequence[Record], mos
         trials = score.trials[:1]
         if score.raw:
             added = [base.model.with_effect(score.effect.name, t) for t in score.raw]
-            least = np.argsort([_plain_cost(base, m, records) for m in added])
+            least = np.argsort(_plain_costs(base, added, records))
             trials = tuple(score.raw[i] for i in least[: OPTIMISER.anew_starts])
         guesses = [first_guess(base.model.with_effect(score.effect.name, t), records) for t in trials]
         guesses = [g.with_values({"linear.tau_s": OPTIMISER.anew_lag_s}) for g in guesses]
