@@ -127,24 +127,42 @@ def test_an_effect_that_led_near_another_gives_its_place_to_it() -> None:
 
 
 def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[tuple[str, ...]] = []
+    """Far from it where there are few experiments; where there are more, ledges are near."""
+    begun: dict[str, list[tuple[str, ...]]] = {"unstuck": [], "polish": []}
+    for name, found in begun.items():
 
-    def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
-        begun.append(found.model.effects)
-        return found
+        def recorded(
+            fitted: Fit,
+            records: Sequence[Record],
+            rng: np.random.Generator,
+            found: list[tuple[str, ...]] = found,
+        ) -> Fit:
+            found.append(fitted.model.effects)
+            return fitted
 
-    monkeypatch.setattr(objective, "unstuck", recorded)
+        monkeypatch.setattr(objective, name, recorded)
     values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 1.0}
-    truth = truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values)
-    diagnose_records(suite(truth, 3), (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
-    assert ("coulomb_friction", "constant_load") in begun
+    records = suite(truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values), 3)
+    added = ("coulomb_friction", "constant_load")
+    for some, name, other in ((records, "polish", "unstuck"), (records[:2], "unstuck", "polish")):
+        begun["unstuck"].clear()
+        begun["polish"].clear()
+        diagnose_records(some, (), Model.parse("linear+coulomb_friction"), library=["constant_load"])
+        assert added in begun[name]
+        assert added not in begun[other]
 
 
 @pytest.mark.parametrize(
-    ("off", "at_floor", "asked"), [(1.0, True, []), (1.0, False, ["polish"]), (1.001, True, ["unstuck"])]
+    ("off", "at_floor", "follows", "asked"),
+    [
+        (1.0, True, True, []),
+        (1.0, False, True, ["polish"]),
+        (1.001, True, True, ["unstuck"]),
+        (1.001, False, False, ["polish"]),
+    ],
 )
 def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_left(
-    off: float, at_floor: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    off: float, at_floor: bool, follows: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Friction that sticks makes replicas err by more than counts: one wrong by a seventh followed the data."""
     called: list[str] = []
@@ -159,7 +177,7 @@ def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_le
     runs, truth = WholeRuns(records), fit(truth_model(), records)
     gain = off * truth.model.number("linear.gain_deg_s_per_pct")
     state = runs.settled(unchanged(truth.model.with_values({"linear.gain_deg_s_per_pct": gain}), records))
-    stage = SimpleNamespace(at_floor=at_floor, follows=True, windows_above_floor=0.0)
+    stage = SimpleNamespace(at_floor=at_floor, follows=follows, windows_above_floor=0.0)
     monkeypatch.setattr(WholeRuns, "stage", lambda runs, state: stage)
     runs.finished(state)
     assert called == asked

@@ -162,7 +162,9 @@ class WholeRuns(Logs):
             return state
         if self._nothing_to_gain(state):
             return state
-        better = polish(found, records, self.rng) if self.only_counts(state) else unstuck(found, records, self.rng)
+        # Three experiments or more leave a fit few ledges far from its minimum; but one that follows them is the last.
+        far = not self.only_counts(state) and (self.few or stage.follows)
+        better = unstuck(found, records, self.rng) if far else polish(found, records, self.rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
     def _nothing_to_gain(self, state: State) -> bool:
