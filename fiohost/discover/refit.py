@@ -200,12 +200,12 @@ class LogsBeside:
         """Other effects in the place of one of the state's, begun from where that led the model's other parameters.
 
         From the declared model no gradient leads to some: under a bridge that opens in each pulse gain and friction are
-        far from what they seem.
+        far from what they seem. What swings and curves are linear in their sizes: to these scores lead from anywhere.
         """
         screen, s = self.screens[-1], self.logs.settings
         rest = screen.fit.model.without([name])
         ways = [(e, [rest.with_effect(e.name, t) for t in e.tried(screen.span)]) for e in self.offered(library)[0]]
-        ways = [(e, models) for e, models in ways if models and not e.once]
+        ways = [(e, models) for e, models in ways if models and not (e.once or e.couples or e.points)]
         if not ways:
             return []
         say(f"trying {len(ways)} others in the place of {name}")
