@@ -141,8 +141,7 @@ def rivals_of(final: Model, steps: Sequence[Step[Stage]]) -> dict[tuple[str, str
             exact = name in effect(step.effect).equivalents or step.effect in effect(name).equivalents
             if exact or name in final.effects or len(found) == MOST_RIVALS:
                 continue
-            own = {k.partition(".")[2]: v for k, v in model.values.items() if k.partition(".")[0] == name}
-            found[step.effect, name] = final.without([step.effect]).with_effect(name, own)
+            found[step.effect, name] = final.without([step.effect]).with_effect(name, model.of(name))
     return found
 
 
