@@ -316,3 +316,16 @@ def test_a_springy_shaft_is_found_though_the_first_step_from_another_frequency_l
     found = gone_on(first, records)
     assert found.model.number("shaft_compliance.resonance_hz") == pytest.approx(6.32, rel=0.02)
     assert found.rms < 0.4 * base.rms < min(f.rms for f in first)
+
+
+def test_a_threshold_is_searched_finely_beside_another_effect_that_cannot_be_believed(tmp_path: Path) -> None:
+    """Friction that falls with speed does as much from its least speed on; by that it was held to be at the floor."""
+    motor = {"R_ohm": 4.0277263, "L_H": 0.0, "Kt_Nm_per_A": 0.52483861, "Ke_Vs_per_rad": 0.55932715}
+    motor |= {"J_kgm2": 0.0060535624, "B_Nms": 0.0, "coulomb_Nm": 0.012179029, "supply_V": 9.0}
+    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
+    plant = plant_file(tmp_path, motor, {"static_friction": {"extra_Nm": 0.034265862}})
+    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=4712)
+    records = [record_from_log(log) for log in logs]
+    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"))
+    assert [s.effect for s in found.steps] == ["static_friction"]
+    assert found.verdict == "explained"

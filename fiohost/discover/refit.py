@@ -26,6 +26,7 @@ from fiohost.discover.optimise import (
     nearest_of,
     thorough_fit,
 )
+from fiohost.discover.score import objection
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
 from fiohost.estimation.fit import Fit
@@ -154,15 +155,20 @@ class LogsBeside:
         fits = dict(zip(finals, each(carried, finals), strict=True))
         ahead = {id(jobs[i].records): np.inf for i in finals}
 
+        def believed(i: int) -> bool:
+            """Whether a fit may stand in the way of others: one at a bound may be a part of what they say."""
+            return objection(fits[i], jobs[i].name) is None
+
         def stands(i: int) -> None:
             """Of two the worse may still come first by a threshold or a choice, but only where it is near."""
-            ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], OPTIMISER.another_choice * fits[i].cost)
+            if believed(i):
+                ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], OPTIMISER.another_choice * fits[i].cost)
 
         def thorough(i: int) -> Fit:
             if i in there or fits[i].cost > ahead[id(jobs[i].records)]:
                 return fits[i]
             # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
-            at_floor = any(f.rms <= s.finished * floor for f in fits.values())
+            at_floor = any(f.rms <= s.finished * floor and believed(k) for k, f in fits.items())
             return thorough_fit(
                 fits[i], jobs[i].score.effect, jobs[i].records, (s.finished if at_floor else s.lost) * floor
             )
