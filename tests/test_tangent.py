@@ -44,7 +44,7 @@ def test_where_a_model_fits_the_tangent_is_the_derivative(name: str) -> None:
     records = [_finely(truth, 3)]
     problem = _Problem(truth, records, True)
     point = _Point(truth.vector(), first_starts(problem.base, records))
-    residuals = problem.residuals(point)
+    residuals, _ = problem.residuals(point)
     along, anew = (problem.linearise(point, residuals, exactly) for exactly in (False, True))
     for a, b in zip((*along[0], *along[1]), (*anew[0], *anew[1]), strict=True):
         for i in range(a.shape[1]):
@@ -65,7 +65,7 @@ def test_the_tangent_is_the_derivative_where_windows_begin_at_rest_and_turn_unde
         (record,) = with_noise([record], truth, noise, [movement(record, truth, begin)])
     problem = _Problem(truth, [record], True)
     point = _Point(truth.vector(), [begin])
-    residuals = problem.residuals(point)
+    residuals, _ = problem.residuals(point)
     (along,), (anew,) = (problem.linearise(point, residuals, exactly)[0] for exactly in (False, True))
     for i, name in enumerate(problem.names):
         assert np.linalg.norm(along[:, i] - anew[:, i]) < 0.2 * np.linalg.norm(anew[:, i]), name

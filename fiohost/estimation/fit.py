@@ -121,20 +121,29 @@ class _Problem:
         signs = np.where(below, -1.0, 1.0)
         return solved._replace(point=replace(solved.point, p=p), jacobians=[j * signs for j in solved.jacobians])
 
-    def residuals(self, point: _Point) -> list[np.ndarray]:
-        flat = self.flat(point.p)
-        pairs = zip(self.records, point.starts, strict=True)
-        if not self.windows:
-            return [errors(record, flat, start) for record, start in pairs]
+    def residuals(self, point: _Point, most: float = np.inf) -> tuple[list[np.ndarray], float]:
+        """Residuals, and their squared error: infinite once beyond ``most``, records left are not asked then."""
+        flat, cost = self.flat(point.p), 0.0
         near: list[Begun | None] = [*point.begins] or [None] * len(point.starts)
-        found = [windowed(record, flat, start, near=n) for (record, start), n in zip(pairs, near, strict=True)]
-        point.begins = [begins for _, begins in found]
-        return [residual for residual, _ in found]
+        found: list[np.ndarray] = []
+        begins: list[Begun] = []
+        for record, start, begun in zip(self.records, point.starts, near, strict=True):
+            if self.windows:
+                residual, begun = windowed(record, flat, start, near=begun)
+                begins.append(begun)
+            else:
+                residual = errors(record, flat, start)
+            found.append(residual)
+            cost += squared([residual])
+            if cost > most:
+                return found, np.inf
+        point.begins = begins
+        return found, cost
 
     def begun_anew(self, point: _Point, residuals: list[np.ndarray]) -> tuple[_Point, list[np.ndarray]]:
         """The same point, the windows of each record begun from its free run where they then leave less."""
         anew = _Point(point.p, point.starts)
-        found = self.residuals(anew)
+        found, _ = self.residuals(anew)
         best = [float(new @ new) < float(old @ old) for new, old in zip(found, residuals, strict=True)]
         begins = [n if b else o for n, o, b in zip(anew.begins, point.begins, best, strict=True)]
         kept = [n if b else o for n, o, b in zip(found, residuals, best, strict=True)]
@@ -182,8 +191,7 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
 
 
 def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: float) -> _Solved:
-    residuals = problem.residuals(point)
-    cost = squared(residuals)
+    residuals, cost = problem.residuals(point)
     damping = 1e-4
     converged = False
     exactly, begun = not problem.windows, cost
@@ -249,9 +257,8 @@ def _solve(problem: _Problem, point: _Point, max_iterations: int, tolerance: flo
                 trial.starts[i] = moved_start(
                     record, flat, trial.starts[i], shift, problem.windows, REACH_SHRINKS**attempt
                 )
-            new_residuals = problem.residuals(trial)
-            new_cost = squared(new_residuals)
-            if np.isfinite(new_cost) and new_cost <= cost:
+            new_residuals, new_cost = problem.residuals(trial, most=cost)
+            if new_cost <= cost:
                 improved = True
                 break
             damping = max(damping, 1e-6) * 8.0
