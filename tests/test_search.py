@@ -131,6 +131,20 @@ def test_a_null_of_few_samples_decides_where_no_candidate_gains_about_what_it_ha
     assert told == [True, False, False, False, False, True]
 
 
+@pytest.mark.parametrize(("asked_for", "found"), [(FIRST, {FIRST}), (OTHER, set())])
+def test_beside_noise_the_friction_of_every_drive_is_asked_for_less_than_other_effects(
+    asked_for: str, found: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten runs one way at constant powers show dry friction by twice what chance reaches, and it halves their error."""
+    monkeypatch.setitem(LEFT, ((asked_for,), False), 800.0)
+    monkeypatch.setattr(Beside, "null", lambda *args: Null(100.0, {}, ()))
+    monkeypatch.setattr(Table, "margin", 2.25)
+    table = Table()
+    table.exact = False
+    search = Search(table, (asked_for,), lambda text: None)
+    assert search.run(search.declared(Model(()), False)).names == found
+
+
 def test_a_third_effect_is_asked_for_beside_the_best_two_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     left = {(): 1e4, (FIRST,): 5000.0, (OTHER,): 5200.0, (THIRD,): 9000.0}
     left |= {(FIRST, OTHER): 2500.0, (FIRST, THIRD): 2000.0, (OTHER, THIRD): 1500.0, (FIRST, OTHER, THIRD): 500.0}

@@ -19,6 +19,7 @@ from fiohost.discover.evidence import Evidence, J, State
 from fiohost.discover.nodes import Added, Child, Expanded, Node
 from fiohost.discover.null import Null
 from fiohost.discover.step import Found, Step, named_with
+from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
 from fiohost.workers import each
 
@@ -218,9 +219,13 @@ class Search(Generic[J]):
         asked, factor = self.asked(child, null), self.settings.plainly_told
         return asked / factor < child.gain < factor * asked
 
+    def margin(self, of: Effect) -> float:
+        """How many times what chance reaches an effect has to gain; what every drive has is no surprise."""
+        return self.settings.margin if of.everywhere else self.evidence.margin
+
     def asked(self, child: Child, null: Null) -> float:
         """The deviance that a candidate has to gain."""
-        return self.evidence.margin * null.of(child.name)
+        return self.margin(child.effect) * null.of(child.name)
 
     def objection(self, node: Node, child: Child, null: Null) -> str | None:
         """Why a candidate is not believed, or None."""
@@ -286,10 +291,10 @@ class Search(Generic[J]):
 
     def needed(self, state: State, node: Node) -> tuple[State, list[str]]:
         """A state without those of a node's effects that the deviance does not ask for any more, and which."""
-        levels, dropped = {a.child.name: a.level for a in node.added}, []
-        for name in [e for e in state.fit.model.effects if e in levels]:
+        asks, dropped = {a.child.name: self.margin(a.child.effect) * a.level for a in node.added}, []
+        for name in [e for e in state.fit.model.effects if e in asks]:
             less = self.evidence.without(state, name)
-            asked = max(self.evidence.margin * levels[name], self.settings.equal_deviance)
+            asked = max(asks[name], self.settings.equal_deviance)
             if less.deviance - state.deviance < asked:
                 self.say(f"{name} is no longer needed")
                 state = less

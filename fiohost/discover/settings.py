@@ -164,7 +164,8 @@ class SearchSettings:
     # Refitted, an effect's shape goes where chance is best for it: it has to gain so many times what chance reaches in
     # the screen.
     margin: float = 1.5
-    # Beside noise, which may be what is missing, so many times: bearings that warm up look like a gain that warms.
+    # Beside noise, which may be what is missing, so many times, but for the dry friction that every drive has: bearings
+    # that warm up look like a gain that warms.
     margin_in_windows: float = 2.25
     # Screen: effects are refitted while their score is this share of the best one's, so many at least and at most.
     worth: float = 0.1
