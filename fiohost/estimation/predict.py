@@ -255,11 +255,12 @@ def squared(parts: Iterable[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Begun:
-    """Where a record's windows begin (m, STATE_SIZE) under a model, and the outputs' derivatives (2, k) by their speed
-    and angle: with a model nearby they are found sooner from there.
+    """Where a record's windows begin (m, STATE_SIZE) under a model, the outputs (k) there, and their derivatives (2, k)
+    by speed and angle there or nearby: with another model nearby the beginnings are found sooner from there.
     """
 
     states: np.ndarray
+    outputs: np.ndarray
     columns: np.ndarray
 
 
@@ -317,7 +318,8 @@ def _from_bases(
 ) -> tuple[np.ndarray, Begun]:
     data = record.y if y is None else y
     residuals, shifts, omegas, found = fitted_windows(record, flat, data, record.looked_at, bases, True, columns)
-    return residuals, Begun(moved(bases, bases[:, THETA] + shifts, omegas), found)
+    outputs = data[record.rows] + turned_deg(record, flat) - residuals
+    return residuals, Begun(moved(bases, bases[:, THETA] + shifts, omegas), outputs, found)
 
 
 def moved(states: np.ndarray, thetas: np.ndarray, omegas: np.ndarray) -> np.ndarray:

@@ -134,6 +134,13 @@ class Record:
         """Where windows begin and end (m + 1) among the samples of those that are looked at, one after the other."""
         return one_by_one(*self.looked_at)
 
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Which of the record's samples (k) those of the windows that are looked at are, one after the other."""
+        firsts, lasts = self.looked_at
+        edges = self.edges
+        return np.asarray(np.arange(edges[-1]) + np.repeat(firsts - edges[:-1], lasts - firsts))
+
     @property
     def acting_pct(self) -> np.ndarray:
         """Duty (n) in percent that acts at each sample."""

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.predict import Begun, Flat, moved, of_run, speed_step, turned_deg, whitened, window_states
+from fiohost.estimation.predict import Begun, Flat, moved, of_run, turned_deg, whitened, window_states
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
@@ -29,12 +29,12 @@ class Tangent:
     def __init__(self, record: Record, flat: Flat, start: Start, begun: Begun) -> None:
         self.record = record
         self.flat = of_run(record, flat, start)
-        self.begins = begun.states
+        self.begun, self.begins = begun, begun.states
         self.firsts, self.lasts = record.looked_at
         # Of a long record few windows are looked at: everything is of their samples (k), one after the other.
         self.edges, lengths = record.edges, self.lasts - self.firsts
         self.window, self.before = np.repeat(np.arange(len(lengths)), lengths), self.edges[:-1]
-        self.rows = np.arange(self.edges[-1]) + (self.firsts - self.before)[self.window]
+        self.rows = record.rows
         self.sure = record.sure[self.rows]
 
     def by(self, flat: Flat, start: Start, step: float) -> np.ndarray:
@@ -64,13 +64,7 @@ class Tangent:
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The windows' outputs (k), and directions (k), square to each other, in which angle and speed move them."""
-        flat, begins = self.flat, self.begins
-        outputs, step = self._outputs(flat, begins), speed_step(flat)
-        thetas, omegas = begins[:, THETA], begins[:, OMEGA]
-        by_speed = (self._outputs(flat, moved(begins, thetas, omegas + step)) - outputs) / step
-        by_angle = np.full(len(outputs), 1.0 if self.record.kind == ANGLE else 0.0)
-        if self.record.kind == ANGLE and flat.bends:
-            by_angle = (self._outputs(flat, moved(begins, thetas + 0.01 * step, omegas)) - outputs) / (0.01 * step)
+        outputs, (by_speed, by_angle) = self.begun.outputs, self.begun.columns
         by_angle = self._unit(by_angle, 0.0)
         own, running = (s - self._along(s, by_angle) for s in (by_speed, self._running()))
         return outputs, by_angle, self._unit(own, STANDS * self._products(running, running))
