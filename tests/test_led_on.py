@@ -11,9 +11,10 @@ from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.ladder import in_sequence
+from fiohost.discover.ladder import Ladder, in_sequence
 from fiohost.discover.objective import WholeRuns
 from fiohost.discover.optimise import carried_on
+from fiohost.discover.search import Search
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import effects
@@ -181,3 +182,21 @@ def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_le
     monkeypatch.setattr(WholeRuns, "stage", lambda runs, state: stage)
     runs.finished(state)
     assert called == asked
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_what_comes_to_the_floor_and_leaves_no_noise_is_told_without_asking_for_one(
+    noise: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A load that holds a shaft on a slope, a tenth of a count elsewhere, took minutes and ended in other names."""
+    truth = truth_model(("coulomb_friction", "quadratic_drag"), {"quadratic_drag.pct_at_1000_deg_s": 20.0})
+    asked_for_noise = SimpleNamespace()
+    monkeypatch.setattr(Search, "explains", lambda self, node: False)
+    monkeypatch.setattr(Ladder, "_by_plain_windows", lambda self: None)
+    monkeypatch.setattr(Ladder, "_by_weighed_windows", lambda self: asked_for_noise)
+    monkeypatch.setattr(Ladder, "_noise_alone", lambda self, node: noise)
+    model, rng = Model.parse("linear+coulomb_friction"), np.random.default_rng(0)
+    ladder = Ladder(suite(truth, 11, 12.0), model, ["quadratic_drag"], False, rng, lambda text: None, {}, 0.0)
+    found = ladder.climbed()
+    assert (found is asked_for_noise) is noise
+    assert noise or [s.effect for s in found.steps] == ["quadratic_drag"]

@@ -69,15 +69,25 @@ class Ladder:
         """What the first rung that explains the data finds, or the last."""
         if self.whole.explains(self.root):
             return self.whole.found(self.root, self.root)
-        if self.exact and not self.runs.few and (found := self._by_whole_runs() or self._by_plain_windows()):
-            return found
+        if self.exact and not self.runs.few:
+            best = self.whole.run(self.root, most=SETTINGS.most_before_windows)
+            if found := self._by_whole_runs(best) or self._by_plain_windows():
+                return found
+            if self._at_the_floor(best):
+                return self.whole.found(self.root, best)
         return self._by_weighed_windows()
 
-    def _by_whole_runs(self) -> Found[Stage] | None:
-        best = self.whole.run(self.root, most=SETTINGS.most_before_windows)
+    def _by_whole_runs(self, best: Node) -> Found[Stage] | None:
         if self.whole.explains(best):
             return self.whole.found(self.root, best)
         return _by_one_clock(self.runs, self.library, self.say, self.model, self.from_file)
+
+    def _at_the_floor(self, node: Node) -> bool:
+        """Whether what was added leads whole runs to their floor, and what still stands out of it is no noise: then no
+        other structure leads lower, whatever noise is blamed.
+        """
+        reached = bool(node.added) and self.runs.reached(node.state.fit, self.runs.floor_rms(node.state))
+        return reached and not self._noise_alone(node)
 
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
