@@ -48,6 +48,7 @@ class Logs(Evidence[Stage]):
         # Every structure is judged by the same draws: no luck between two, nor by the way that a search took.
         self._judging = int(self.rng.integers(2**32))
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
+        self._finished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
 
     @property
     def few(self) -> bool:
@@ -151,6 +152,11 @@ class WholeRuns(Logs):
         return state.fit.rms <= self.most_of_counts
 
     def finished(self, state: State) -> State:
+        if state not in self._finished:
+            self._finished[state] = self._off_ledges(state)
+        return self._finished[state]
+
+    def _off_ledges(self, state: State) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
         found, records = state.fit, self.records
         if any(found.model.parameter(n).ragged for n in found.names) and not self.stage(state).at_floor:
@@ -180,7 +186,11 @@ class WholeRuns(Logs):
         return state if better is state.fit or _doubted(better) else self.settled(better)
 
     def _nothing_left(self, before: State, after: State, group: Sequence[int]) -> bool:
-        return self.stage(before).left_of(after.fit, group) <= self.settings.finished
+        stage, enough = self.stage(before), self.settings.finished
+        if stage.left_of(after.fit, group) <= enough:
+            return True
+        # One that comes to the floor of all may stand on a ledge in those that show it.
+        return self.reached(after.fit, stage.floor_rms) and stage.left_of(self.finished(after).fit, group) <= enough
 
 
 class PlainWindows(Logs):
