@@ -48,7 +48,8 @@ class Logs(Evidence[Stage]):
         # Every structure is judged by the same draws: no luck between two, nor by the way that a search took.
         self._judging = int(self.rng.integers(2**32))
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
-        self._finished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
+        # What was got off its ledge when it was asked whether it is confirmed.
+        self._off: WeakKeyDictionary[State, State] = WeakKeyDictionary()
 
     @property
     def few(self) -> bool:
@@ -152,11 +153,9 @@ class WholeRuns(Logs):
         return state.fit.rms <= self.most_of_counts
 
     def finished(self, state: State) -> State:
-        if state not in self._finished:
-            self._finished[state] = self._off_ledges(state)
-        return self._finished[state]
+        return self._off_ledges(self._off.get(state, state), self.rng)
 
-    def _off_ledges(self, state: State) -> State:
+    def _off_ledges(self, state: State, rng: np.random.Generator) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""
         found, records = state.fit, self.records
         if any(found.model.parameter(n).ragged for n in found.names) and not self.stage(state).at_floor:
@@ -170,7 +169,7 @@ class WholeRuns(Logs):
             return state
         # Three experiments or more leave a fit few ledges far from its minimum; but one that follows them is the last.
         far = not self.only_counts(state) and (self.few or stage.follows)
-        better = unstuck(found, records, self.rng) if far else polish(found, records, self.rng)
+        better = unstuck(found, records, rng) if far else polish(found, records, rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
     def _nothing_to_gain(self, state: State) -> bool:
@@ -190,7 +189,11 @@ class WholeRuns(Logs):
         if stage.left_of(after.fit, group) <= enough:
             return True
         # One that comes to the floor of all may stand on a ledge in those that show it.
-        return self.reached(after.fit, stage.floor_rms) and stage.left_of(self.finished(after).fit, group) <= enough
+        if not self.reached(after.fit, stage.floor_rms):
+            return False
+        # Many are asked at once: each has draws of its own, whoever comes first.
+        self._off[after] = self._off_ledges(after, np.random.default_rng(self._judging))
+        return stage.left_of(self._off[after].fit, group) <= enough
 
 
 class PlainWindows(Logs):
