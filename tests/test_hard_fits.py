@@ -34,6 +34,18 @@ from fiohost.motor.simulate import Start
 COUNT_NOISE = QUANTUM_DEG / np.sqrt(12.0)
 
 
+SUITE = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
+
+
+def bench_records(
+    folder: Path, motor: dict[str, float], effects: dict[str, dict[str, object]], seed: int
+) -> list[Record]:
+    """A simulated board's records of five experiments."""
+    plant = plant_file(folder, {"L_H": 0.0, "B_Nms": 0.0, "supply_V": 9.0, **motor}, effects)
+    logs = logs_of(f"sim:{plant}", folder, [Experiment.load(name) for name in SUITE], seed=seed)
+    return [record_from_log(log) for log in logs]
+
+
 def begun(record: Record, truth: Model, start: Start) -> Record:
     """The record as its commands would give it from another start, in counts."""
     y = free_output(record, Flat.of(truth), start)
@@ -135,10 +147,7 @@ def test_the_order_of_what_swings_is_found_though_others_score_higher(tmp_path: 
     motor = {"R_ohm": 3.4464, "L_H": 0.0, "Kt_Nm_per_A": 0.31279, "Ke_Vs_per_rad": 0.4607, "J_kgm2": 0.00261783}
     motor |= {"B_Nms": 0.0, "coulomb_Nm": 0.0277121, "supply_V": 9.0}
     swings = {"ratio": 0.25435, "order": 4.0, "phase_rad": 2.5700667}
-    plant = plant_file(tmp_path, motor, {"position_dependent_friction": swings})
-    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
-    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=108974485)
-    records = [record_from_log(log) for log in logs]
+    records = bench_records(tmp_path, motor, {"position_dependent_friction": swings}, 108974485)
     base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
     score = Screen(base, records).score(effect("position_dependent_friction"))
     assert score.directions[0].trial["order"] != 4.0
@@ -304,10 +313,8 @@ def test_a_springy_shaft_is_found_though_the_first_step_from_another_frequency_l
     motor = {"R_ohm": 8.58153, "L_H": 0.0, "Kt_Nm_per_A": 0.62092395, "Ke_Vs_per_rad": 0.71046572}
     motor |= {"J_kgm2": 0.0023585008, "B_Nms": 0.0, "coulomb_Nm": 0.02534069, "supply_V": 9.0}
     shaft = {"stiffness_Nm_per_rad": 0.77882962, "damping_Nms": 0.00083017895, "load_inertia_kgm2": 0.00070331366}
-    plant = plant_file(tmp_path, motor, {"shaft_compliance": {**shaft, "side": "encoder_before_spring"}})
-    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
-    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=403931955)
-    records = with_bench([record_from_log(log) for log in logs])
+    effects = {"shaft_compliance": {**shaft, "side": "encoder_before_spring"}}
+    records = with_bench(bench_records(tmp_path, motor, effects, 403931955))
     base = fit_from_scratch(Model.parse("linear+coulomb_friction"), records)
     first = begun_fits(base, Screen(base, records).score(effect("shaft_compliance")), records)
     best, *_, last = (f.model.number("shaft_compliance.resonance_hz") for f in first)
@@ -322,10 +329,7 @@ def test_a_threshold_is_searched_finely_beside_another_effect_that_cannot_be_bel
     """Friction that falls with speed does as much from its least speed on; by that it was held to be at the floor."""
     motor = {"R_ohm": 4.0277263, "L_H": 0.0, "Kt_Nm_per_A": 0.52483861, "Ke_Vs_per_rad": 0.55932715}
     motor |= {"J_kgm2": 0.0060535624, "B_Nms": 0.0, "coulomb_Nm": 0.012179029, "supply_V": 9.0}
-    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
-    plant = plant_file(tmp_path, motor, {"static_friction": {"extra_Nm": 0.034265862}})
-    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=4712)
-    records = [record_from_log(log) for log in logs]
+    records = bench_records(tmp_path, motor, {"static_friction": {"extra_Nm": 0.034265862}}, 4712)
     found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"))
     assert [s.effect for s in found.steps] == ["static_friction"]
     assert found.verdict == "explained"
@@ -342,10 +346,7 @@ def test_what_one_record_shows_is_got_off_its_ledge_before_something_is_said_to_
     motor |= {"J_kgm2": 0.0035530877739279256, "B_Nms": 0.0, "coulomb_Nm": 0.031225953268560553, "supply_V": 9.0}
     warms = {"ratio": 0.019611138214545677, "time_constant_s": 20.28787310676776, "follows": "time"}
     effects = {"gain_warm_up": warms, "static_friction": {"extra_Nm": 0.019020874678411136}}
-    names = ("staircase", "multisine", "pulses", "sine_slow", "square_170_190")
-    plant = plant_file(tmp_path, motor, effects)
-    logs = logs_of(f"sim:{plant}", tmp_path, [Experiment.load(name) for name in names], seed=1538331201)
-    library, records = list(effects), [record_from_log(log) for log in logs]
+    library, records = list(effects), bench_records(tmp_path, motor, effects, 1538331201)
     said: list[str] = []
     found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library, say=said.append)
     assert ({s.effect for s in found.steps}, found.verdict) == (set(effects), "explained")
