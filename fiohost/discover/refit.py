@@ -217,9 +217,11 @@ class LogsBeside:
         say(f"trying {len(ways)} others in the place of {name}")
         nearest = each(lambda way: nearest_of(screen.fit, way[1], screen.records), ways)
         order = sorted(range(len(ways)), key=lambda i: nearest[i][0])[: s.finalists_in_windows]
-        jobs = [Job(Score(ways[i][0], 0.0, (), ()), screen.fit, screen.records) for i in order]
-        rough = each(lambda i: again(screen.fit, nearest[i][1], screen.records, 8, 1e-2), order)
-        return list(self.carried(jobs, rough, self.logs.floor_rms(self.state)).values())
+        tried = each(lambda i: again(screen.fit, nearest[i][1], screen.records, 8, 1e-2), order)
+        # Only what comes near the one that it is to replace is carried on.
+        near = [(i, f) for i, f in zip(order, tried, strict=True) if f.cost <= s.hopeless * screen.fit.cost]
+        jobs = [Job(Score(ways[i][0], 0.0, (), ()), screen.fit, screen.records) for i, _ in near]
+        return list(self.carried(jobs, [f for _, f in near], self.logs.floor_rms(self.state)).values())
 
     def leaves_noise(self, state: State, names: Sequence[str]) -> bool:
         """Whether what a state leaves may be noise, and its fit with the effects ``names`` may be believed."""
