@@ -76,6 +76,9 @@ LEAST_DIRECTION = 1e-9
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
 
+# Parts of pieces of so many samples at most are kept: each takes 10 n^2 numbers.
+LONGEST_KEPT = 60
+
 # By so much a profile's deviance rises at the ends of a 95 % interval where pieces are independent.
 CHI_SQUARED_95 = 3.841
 
@@ -178,44 +181,67 @@ def _rounded(tau_s: float, settings: NoiseSettings) -> float:
     return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
 
 
-def _group_deviances(
-    group: Group, time_s: float, sensors: np.ndarray, torques: np.ndarray, settings: NoiseSettings
-) -> np.ndarray:
-    """-2 log likelihood (sensors, torques) of the pieces of a group, but for a constant."""
-    (n, count), motor = group.residuals.shape, group.motor
-    basis, torque = _torque_part(n, _rounded(motor.tau_s, settings), motor.kind, motor.step_s, time_s)
-    left, torque = basis.T @ group.residuals, torque * motor.gain**2
-    least = LEAST_VARIANCE * float(np.mean(group.residuals**2)) + 1e-300
-    if motor.kind != covariance.MEAN_SPEED:
-        squares = np.sum(left**2, axis=1)
-        own = sensors**2 + motor.quantum**2 / 12.0 + least
-        variance = own[:, None, None] + torques[None, :, None] ** 2 * torque
-        return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=2))
-    # Counts of a mean speed are not white: in the directions in which they are apart from each other, a torque, which
-    # has few directions that count, is a small correction (Woodbury 1950).
-    spread, apart = _counted_part(n, _rounded(motor.tau_s, settings), motor.step_s, time_s)
+@lru_cache(maxsize=1024)
+def _sensed_part(
+    n: int, tau_s: float, step_s: float, time_s: float, quantum: float, sensors: tuple[float, ...], least: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque; how many
+    times these a torque of 1 % and a motor of unit gain has (sensors, k), and what a piece has along its directions
+    (sensors, k, m), both in those of ``_counted_part``.
+
+    Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
+    directions (Woodbury 1950).
+    """
+    _, torque = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
+    spread, apart = _counted_part(n, tau_s, step_s, time_s)
     seen = np.flatnonzero(torque > LEAST_DIRECTION * torque.max())
-    acts, left = apart[seen].T * np.sqrt(torque[seen]), apart.T @ left
-    own = spread * motor.quantum**2 + sensors[:, None] ** 2
+    acts = apart[seen].T * np.sqrt(torque[seen])
+    own = spread * quantum**2 + np.array(sensors)[:, None] ** 2
     own += 1e-12 * own.max(axis=1, keepdims=True) + least
-    weighed = acts.T[None] / own[:, None, :]  # (sensors, directions, m)
+    weighed = acts.T[None] / own[:, None, :]  # (sensors, k, m)
     sizes, along = np.linalg.eigh(weighed @ acts)
-    pulls = np.sum((np.swapaxes(along, 1, 2) @ weighed @ left) ** 2, axis=2)
+    return own, np.maximum(sizes, 0.0), np.swapaxes(along, 1, 2) @ weighed
+
+
+def _group_deviances(
+    group: Group, time_s: float, sensors: np.ndarray, torques: np.ndarray, least: float, settings: NoiseSettings
+) -> np.ndarray:
+    """-2 log likelihood (sensors, torques) of the pieces of a group, but for a constant; no variance is below
+    ``least``.
+    """
+    (n, count), motor = group.residuals.shape, group.motor
+    tau_s = _rounded(motor.tau_s, settings)
+    basis, torque = _torque_part(n, tau_s, motor.kind, motor.step_s, time_s)
+    left, power = basis.T @ group.residuals, (torques * motor.gain) ** 2
+    if motor.kind != covariance.MEAN_SPEED:
+        own = sensors**2 + motor.quantum**2 / 12.0 + least
+        variance = own[:, None, None] + power[None, :, None] * torque
+        return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
+    _, apart = _counted_part(n, tau_s, motor.step_s, time_s)
+    # What serves again is kept but of long pieces, of which it would fill the memory.
+    part = _sensed_part if n <= LONGEST_KEPT else _sensed_part.__wrapped__
+    own, sizes, along = part(n, tau_s, motor.step_s, time_s, motor.quantum, tuple(sensors.tolist()), least)
+    left = apart.T @ left
+    pulls = np.sum((along @ left) ** 2, axis=2)
     fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)
-    power = torques[None, :, None] ** 2
-    grown = 1.0 + power * np.maximum(sizes, 0.0)[:, None, :]
-    return np.asarray(fixed[:, None] + np.sum(count * np.log(grown) - power / grown * pulls[:, None, :], axis=2))
+    grown = 1.0 + power[None, :, None] * sizes[:, None, :]
+    pulled = power[None, :, None] / grown * pulls[:, None, :]
+    return np.asarray(fixed[:, None] + np.sum(count * np.log(grown) - pulled, axis=2))
 
 
 def _deviances(
     groups: Sequence[Group],
     settings: NoiseSettings,
-    times_s: np.ndarray,
-    sensors: np.ndarray,
-    torques: np.ndarray,
+    axes: Sequence[np.ndarray],
+    least: float,
 ) -> np.ndarray:
-    """-2 log likelihood (times, sensors, torques), but for a constant."""
-    return np.array([sum(_group_deviances(g, float(t), sensors, torques, settings) for g in groups) for t in times_s])
+    """-2 log likelihood (times, sensors, torques) at all of the ``axes`` together, but for a constant."""
+    times_s, sensors, torques = axes
+
+    def of(group: Group, time_s: float) -> np.ndarray:
+        return _group_deviances(group, time_s, sensors, torques, least, settings)
+
+    return np.array([sum(of(g, t) for g in groups) for t in times_s.tolist()])
 
 
 def estimate(
@@ -229,7 +255,10 @@ def estimate(
     samples = sum(g.residuals.size for g in groups)
     if samples == 0:
         return NONE if sensor is None else Noise(Ranged(sensor, sensor, sensor), NONE.torque_pct, NONE.torque_s)
-    rms = float(np.sqrt(sum(float(np.sum(g.residuals**2)) for g in groups) / samples)) + 1e-300
+    rms = float(np.sqrt(sum(float(np.sum(g.residuals**2)) for g in groups) / samples)) + 1e-150
+    # Looks that begin alike serve alike for all models of one motor.
+    rms = float(np.exp(settings.noise_step * np.ceil(np.log(rms) / settings.noise_step)))
+    least = LEAST_VARIANCE * rms**2
     times = np.geomspace(*settings.times_s, settings.time_looks)
     sensors = np.concatenate(([0.0], rms * np.geomspace(*settings.sensor_span, settings.sensor_looks)))
     sensors = sensors if sensor is None else np.array([sensor])
@@ -237,10 +266,10 @@ def estimate(
     axes = [times, sensors, torques]
     # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
     for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
-        deviances = _deviances(groups, settings, *axes)
+        deviances = _deviances(groups, settings, axes, least)
         for i in closer:
             axes[i] = _closer(axes[i], _profile(deviances, i), settings)
-    deviances = _deviances(groups, settings, *axes)
+    deviances = _deviances(groups, settings, axes, least)
     best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
     ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
     time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)

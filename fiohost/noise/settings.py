@@ -34,6 +34,8 @@ class NoiseSettings:
     sensor_zooms: int = 2
     zooms: int = 3
     near_deviance: float = 9.0
+    # What is left, from which sensor noise is looked for, is taken to so much of itself, in logarithms.
+    noise_step: float = 0.25
     # A lag is taken to so much of itself: the shape of covariances does not hang on less.
     lag_step: float = 0.05
     # 95 % intervals by profile likelihood (Wilks 1938): 3.84 where pieces are independent. Those that follow each other
