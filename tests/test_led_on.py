@@ -29,7 +29,7 @@ def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
         "friction_warm_up.time_constant_s": 15.0,
         "friction_warm_up.follows": "time",
     }
-    records = suite(truth_model(("asymmetric_coulomb_friction", "friction_warm_up"), values), 11, 15.0)
+    records = suite(truth_model(("asymmetric_coulomb_friction", "friction_warm_up"), values), 11, 10.0)
     said: list[str] = []
     library = ["constant_load", "friction_warm_up"]  # a load is the mean of a friction that differs by direction
     found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=library, say=said.append)

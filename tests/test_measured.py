@@ -1,8 +1,8 @@
 """Real measurements: a LEGO NXT motor at constant powers (University of Trento lab course, 2017).
 
-Declared is a linear motor, fitted on 10, 20 .. 100 % power and judged on 15, 25 .. 95 %. The runs do not repeat to the
+Declared is a linear motor, fitted on 10, 30 .. 90 % power and judged on 15, 35 .. 95 %. The runs do not repeat to the
 count: gain and friction differ from run to run. Beside that it lacks dry friction, and its angle errs once a turn.
-Here on the first seconds of every run and with the effects that constant powers can show; the whole runs with
+Here on the first seconds of every other run and with the effects that constant powers can show; the whole runs with
 the whole library are ``benchmarks/measured.py``.
 """
 
@@ -23,8 +23,8 @@ from fiohost.discover.result import to_json
 from fiohost.motor.effect import effect
 
 SECONDS = 4.0
-FIT = range(10, 101, 10)
-JUDGE = range(15, 96, 10)
+FIT = range(10, 101, 20)
+JUDGE = range(15, 96, 20)
 LIBRARY = (
     "coulomb_friction", "input_deadband", "constant_load", "transport_delay", "voltage_saturation", "gravity_load",
     "backlash", "shaft_angle_error",
