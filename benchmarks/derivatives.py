@@ -14,9 +14,10 @@ from functools import partial
 
 import numpy as np
 
-from fiohost.estimation import fit as fitting
+from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
+from fiohost.estimation.solver import ALONG_TANGENT, Point, Problem
 from fiohost.estimation.starts import first_starts
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
@@ -56,8 +57,8 @@ def main() -> None:
     for name in (None, *SHOWN):
         model = dry if name is None else dry.with_effect(name, dict(effects()[name].trials[0]))
         records = [record_of(model, rng)]
-        problem = fitting._Problem(model, records, True)
-        point = fitting._Point(model.vector(), first_starts(problem.base, records))
+        problem = Problem(model, records, True)
+        point = Point(model.vector(), first_starts(problem.base, records))
         residuals = problem.residuals(point)
         anew, tangent = (best_of(partial(problem.linearise, point, residuals, exactly)) for exactly in (True, False))
         ratios.append(anew / tangent)
@@ -66,7 +67,7 @@ def main() -> None:
 
     records = [record_of(dry, rng)]
     off = dry.with_values({k: 1.2 * v for k, v in DRY.items()})
-    ways = [partial(fitting.fit, off, records, windows=True, tolerance=t) for t in (2.0 * fitting.ALONG_TANGENT, 1e-6)]
+    ways = [partial(fit, off, records, windows=True, tolerance=t) for t in (2.0 * ALONG_TANGENT, 1e-6)]
     near, exact = (1e3 * best_of(way) for way in ways)
     print(f"fit along the tangent {near:.0f} ms, finished with exact derivatives {exact:.0f} ms;", end=" ")
     print("rms {:.5f} and {:.5f} deg".format(*(way().rms for way in ways)))

@@ -73,6 +73,8 @@ WORLDS = (
     World("stamps 1 ms", jitter_s=1e-3),
     World("wrong bits", wrong_bits=1.0 / 5000.0),
     World("run to run", varies=(0.01, 0.10, 1.0)),
+    World("all but run to run", 1.0, 0.5, 0.1, missing=0.01, jitter_s=1e-3, wrong_bits=1.0 / 5000.0),
+    World("all", 1.0, 0.5, 0.1, missing=0.01, jitter_s=1e-3, wrong_bits=1.0 / 5000.0, varies=(0.01, 0.10, 1.0)),
 )
 BY_NAME = {w.name: w for w in WORLDS}
 

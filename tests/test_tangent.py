@@ -10,9 +10,10 @@ from bench_data import QUANTUM_DEG, measure, steps, truth_model
 
 from fiohost.discover.movement import movement
 from fiohost.discover.whitened import with_noise
-from fiohost.estimation.fit import _Point, _Problem, fit
+from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record
+from fiohost.estimation.solver import Point, Problem
 from fiohost.estimation.starts import first_starts
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Value
@@ -42,8 +43,8 @@ def _finely(truth: Model, seed: int) -> Record:
 def test_where_a_model_fits_the_tangent_is_the_derivative(name: str) -> None:
     truth = truth_model((name,), EFFECTS[name])
     records = [_finely(truth, 3)]
-    problem = _Problem(truth, records, True)
-    point = _Point(truth.vector(), first_starts(problem.base, records))
+    problem = Problem(truth, records, True)
+    point = Point(truth.vector(), first_starts(problem.base, records))
     residuals, _ = problem.residuals(point)
     along, anew = (problem.linearise(point, residuals, exactly) for exactly in (False, True))
     for a, b in zip((*along[0], *along[1]), (*anew[0], *anew[1]), strict=True):
@@ -63,8 +64,8 @@ def test_the_tangent_is_the_derivative_where_windows_begin_at_rest_and_turn_unde
     if weighed:
         noise = replace(NONE, torque_pct=Ranged(1.0, 1.0, 1.0), torque_s=Ranged(0.1, 0.1, 0.1))
         (record,) = with_noise([record], truth, noise, [movement(record, truth, begin)])
-    problem = _Problem(truth, [record], True)
-    point = _Point(truth.vector(), [begin])
+    problem = Problem(truth, [record], True)
+    point = Point(truth.vector(), [begin])
     residuals, _ = problem.residuals(point)
     (along,), (anew,) = (problem.linearise(point, residuals, exactly)[0] for exactly in (False, True))
     for i, name in enumerate(problem.names):

@@ -15,7 +15,8 @@ from scipy.optimize import least_squares, minimize
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Constant, Figure, Row, Table
-from fiohost.estimation.fit import Fit, project
+from fiohost.estimation.fit import Fit
+from fiohost.estimation.solver import project
 from fiohost.motor.model import Model, slot
 
 # Figures jump where a response enters another band, so differences are taken wider than for the samples of a log.
