@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from places import ROOT
 
 # Workers share the cores among themselves: more threads would only get in their way. numpy is not imported yet.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -19,8 +20,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # A busy machine is no fault of what is tested; the rest is as hypothesis has it, in the gate and outside.
 settings.register_profile("patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def pytest_configure() -> None:

@@ -13,7 +13,6 @@ from fiohost.boards.images import find_image
 from firmware_model import FirmwareModelError, Plant, load_plant
 from firmware_model.emulated.board import EmulatedBoard
 
-ROOT = Path(__file__).resolve().parent.parent
 BOARDS = ("uno", "bluepill")
 DUTY_STEPS = {"uno": 800, "bluepill": 3600}
 

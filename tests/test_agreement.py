@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import PACKAGES, ROOT
 from short_runs import closed_loop, logs_of, multisine, plant_file, pulses, staircase
 
 import fiohost
@@ -28,7 +29,6 @@ from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
 
-ROOT = Path(__file__).parent.parent
 IDEAL = ROOT / "configs" / "plants" / "ideal.toml"
 INTEGRATION_DEG = 1e-3  # what the board's adaptive steps may add up to
 # Warmth follows the motor by steps of the kernel: over a run of thousands of degrees that much may add up.
@@ -236,7 +236,7 @@ def loaded_after(code: str) -> set[str]:
     """Top names and rooms in ``sys.modules`` of a fresh interpreter after ``code``."""
     tail = "\nimport sys; print(*{'.'.join(m.split('.')[:2]) for m in sys.modules})"
     command = [sys.executable, "-P", "-c", code + tail]  # what is installed, whose kernels are compiled
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=PACKAGES)
     return set(done.stdout.split())
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boards import HANG_S, Receive, WatchedTransport, bench_on, rows_of
+from places import PACKAGES
 from test_bench import STAIRS
 
 from fiohost.bench.log import Log
@@ -218,7 +219,7 @@ def test_a_full_disk_in_mid_run_brakes_and_keeps_the_rows(tmp_path: Path) -> Non
 def test_after_kill_9_the_log_holds_every_row_but_the_last(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     command = [sys.executable, "-m", "fiohost.cli.main", "manual", "--pwm", "40", "--log", str(path)]
-    host = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parent.parent)
+    host = subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=PACKAGES)
     deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline and (not path.exists() or len(rows_of(path)) < 50):
         time.sleep(0.02)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
 from fiohost.bench.connect import connect
 from fiohost.cli.main import cli
@@ -21,7 +22,6 @@ from fiohost.labs.questions import paired
 from fiohost.labs.readings import NoLoad, Readings
 from fiohost.labs.solve_constants import constants_of, predicted_run_down, solve
 
-ROOT = Path(__file__).resolve().parent.parent
 PRINTED = ROOT / "docs" / "labs" / "nxt_readings.toml"
 TRUE = {"Ra": 2.27, "Ki": 0.25, "Kb": 0.26, "B": 0.00131, "Tc": 0.008, "J": 0.00233}
 TRUE["tau_m"] = TRUE["J"] / (TRUE["B"] + TRUE["Ki"] * TRUE["Kb"] / TRUE["Ra"])

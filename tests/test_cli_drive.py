@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
+from places import PACKAGES, ROOT
 
 from fiohost.bench.log import Log
 from fiohost.cli.main import COMMANDS, cli
 
-ROOT = Path(__file__).parent.parent
 FIOHOST = [sys.executable, "-m", "fiohost"]
 
 
@@ -28,7 +28,7 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands write into the current folder, and seals into the user's state: give each test its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 def fiohost(*arguments: str) -> Result:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from boards import HANG_S
+from places import PACKAGES
 
 LIMIT_S = HANG_S
 ESCAPES = re.compile(rb"\x1b\[[0-9;?>=]*[ -/]*[@-~]|\x1b[()=>][0-9A-B]?|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)|\r|\x08")
@@ -45,9 +46,8 @@ class Terminal:
         command = folder / "fiohost"
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m fiohost "$@"\n')
         command.chmod(0o755)
-        root = Path(__file__).resolve().parent.parent
         environment = {
-            **os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(root), "HOME": str(folder),
+            **os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "PYTHONPATH": str(PACKAGES), "HOME": str(folder),
             "TERM": "dumb" if shell != "fish" else "xterm", "XDG_STATE_HOME": str(folder / "state"),
             "XDG_CONFIG_HOME": str(folder / "config"), "XDG_DATA_HOME": str(folder / "data"), "COLUMNS": "200",
         }  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 from scipy import signal
 
 from fiohost.bench.connect import connect
@@ -31,7 +32,6 @@ from fiohost.labs.session import Gains, Session, position, volts
 from fiohost.labs.speed_control import speed_control
 from fiohost.labs.steps import COMMANDS, LAST
 
-ROOT = Path(__file__).resolve().parent.parent
 Q = TEXT["no_load"]
 LIMITS = Limits(4.5, 1.0)
 

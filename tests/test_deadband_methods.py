@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
 from fiohost.bench.connect import connect
 from fiohost.bench.deadband import Deadband, measure_deadband
@@ -14,7 +15,6 @@ from fiohost.bench.profile import BenchProfile
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, DataError
 
-ROOT = Path(__file__).resolve().parent.parent
 FRICTION_PCT = 100.0 * 0.02045 * 5.515 / (0.3408 * 9.0)  # of the default plant: torque over stall torque at full duty
 
 

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import click
 import pytest
+from places import ROOT
 
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.profile import BenchProfile
@@ -26,7 +27,6 @@ from fiohost.transport.profile import TargetProfile
 from fiohost.wire.identity import ANSWER_BYTES, QUERY
 from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND, Command
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from emulators import BOARDS, DUTY_STEPS, ROOT, emulator
+from emulators import BOARDS, DUTY_STEPS, emulator
+from places import ROOT
 
 import fiohost
 from fiohost.bench.log import Log

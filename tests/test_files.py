@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from boards import HANG_S, rows_of
 from click.testing import CliRunner, Result
-from test_cli_drive import ROOT
+from places import PACKAGES, ROOT
 
 from fiohost import files
 from fiohost.bench.log import Log, LogWriter
@@ -28,7 +28,7 @@ STEP += "duration_s = 0.6\n"
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
     Path("e.toml").write_text(STEP)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 from lines import PATIENT, PtyBoard
+from places import ROOT
 
 from fiohost.bench.connect import connect
 from fiohost.bench.doctor import who
@@ -20,8 +21,6 @@ from fiohost.cli.main import cli
 from fiohost.errors import ConfigError, FiohostError
 from fiohost.transport.profile import TargetProfile
 from fiohost.wire.identity import QUERY, START, find_identity
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def said(*words: str) -> Result:

@@ -12,7 +12,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from emulators import ROOT, absent, board, needed
+from emulators import absent, board, needed
+from places import ROOT
 
 from fiohost.boards.sketch import write_sketch
 from fiohost.transport.profile import TargetProfile

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from boards import rows_of, until
 from lines import PtyBoard, patient
-from test_safe_stops import FORWARD, LIMIT_S, MAIN, ROOT, STEP_40, Host
+from places import PACKAGES
+from test_safe_stops import FORWARD, LIMIT_S, MAIN, STEP_40, Host
 
 from fiohost.bench.guardian import Guardian
 from fiohost.bench.log import Log
@@ -25,7 +26,7 @@ RUN = ["run", "step_40.toml", "--log", "run.csv"]
 
 @pytest.fixture(autouse=True)
 def _checkout(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
     (tmp_path / "step_40.toml").write_text(STEP_40)
 
 

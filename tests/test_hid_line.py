@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lines import FakeHidapi, info, patient
+from places import PACKAGES
 from test_real_time import HandClock
 
 from fiohost.bench.loop import Bench
@@ -249,9 +250,7 @@ def test_a_host_that_was_killed_leaves_no_lock(tmp_path: Path) -> None:
         f"lock._folder = lambda: pathlib.Path({str(tmp_path)!r})\n"
         "held = lock.DeviceLock('1-2:1.0', 'the board'); print('held', flush=True); sys.stdin.read()"
     )
-    host = subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=Path(__file__).parent.parent
-    )
+    host = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=PACKAGES)
     assert host.stdout is not None
     assert host.stdout.readline() == b"held\n"
     with pytest.raises(TransportError, match=f"process {host.pid}"):

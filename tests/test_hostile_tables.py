@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from test_cli_drive import ROOT
+from places import PACKAGES
 
 from fiohost.bench.log import Log
 from fiohost.cli.main import cli
@@ -151,9 +151,9 @@ def test_what_libraries_warn_of_is_for_who_looks_for_a_fault(tmp_path: Path) -> 
     table = tmp_path / "\U00013000.csv"
     table.write_text(table_of(100))
     command = [sys.executable, "-m", "fiohost", "import", str(table), "--yes", "-o", str(tmp_path / "log.csv")]
-    said = subprocess.run(command, capture_output=True, check=False, cwd=ROOT)
+    said = subprocess.run(command, capture_output=True, check=False, cwd=PACKAGES)
     assert (said.returncode, said.stderr) == (0, b"")
-    said = subprocess.run([*command, "--force", "--debug"], capture_output=True, check=False, cwd=ROOT)
+    said = subprocess.run([*command, "--force", "--debug"], capture_output=True, check=False, cwd=PACKAGES)
     assert b"missing from font" in said.stderr
 
 

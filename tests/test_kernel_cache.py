@@ -10,11 +10,11 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from fiohost.motor import compiled as host_side
 from firmware_model import compiled as board_side
 
-ROOT = Path(__file__).parent.parent
 NOBODY = 65534
 needs_two_users = pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() != 0, reason="only root can make folders of another user"

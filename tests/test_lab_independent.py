@@ -9,11 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from places import ROOT
 from scipy import signal, stats
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -33,7 +33,6 @@ from fiohost.labs.session import Session
 from fiohost.labs.speed_control import speed_control
 from fiohost.report.lab import cell_text
 
-ROOT = Path(__file__).resolve().parent.parent
 INF = float("inf")
 
 

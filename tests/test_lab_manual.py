@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_cli_drive import ROOT, fiohost
+from places import ROOT
+from test_cli_drive import fiohost
 
 from fiohost.bench.log import Log
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
 from fiohost.cli.main import cli
 from fiohost.errors import ConfigError
@@ -16,8 +17,6 @@ from fiohost.labs.elevator.parts import Parts, parts_table
 from fiohost.labs.fine_tuning import fine_tuning, second_order
 from fiohost.labs.manual import WIRING
 from fiohost.labs.session import Session
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_the_formulas_of_the_second_order_loop_give_what_the_text_prints() -> None:

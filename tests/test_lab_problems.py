@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 from scipy import signal
 from scipy.optimize import brentq, minimize_scalar
 
@@ -21,7 +22,6 @@ from fiohost.labs.problems.catalogue import PROBLEMS, problem
 R, L, K, J, B = 2.0, 0.008, 0.1, 4e-4, 1e-3  # problem D-1; both motor constants are K
 
 Values = dict[str, Any]
-ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 from boards import HANG_S, WatchedTransport, bench_on, rows_of
-from test_cli_drive import FIOHOST, ROOT
+from places import PACKAGES
+from test_cli_drive import FIOHOST
 
 from fiohost.bench.log import Log
 from fiohost.panel.keys import Decoder, Keyboard, KeyProgram
@@ -28,7 +29,7 @@ UP, DOWN, PAGE_UP, SHIFT_DOWN = "\x1b[A", "\x1bOB", "\x1b[5~", "\x1b[1;2B"
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 class Terminal:

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import PACKAGES, ROOT
 
-ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "own-effect.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
 
@@ -52,7 +52,7 @@ def install(folder: Path, name: str, modules: dict[str, str], points: str) -> No
 
 def python(folder: Path, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """A fresh interpreter that finds what is installed in the folder."""
-    known = {**os.environ, "PYTHONPATH": os.pathsep.join((str(folder), str(ROOT))), "COLUMNS": "200", **environment}
+    known = {**os.environ, "PYTHONPATH": os.pathsep.join((str(folder), str(PACKAGES))), "COLUMNS": "200", **environment}
     return subprocess.run([sys.executable, *words], env=known, capture_output=True, text=True, cwd=folder)
 
 

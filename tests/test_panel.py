@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from boards import WatchedTransport, bench_on
-from test_cli_drive import ROOT, refused
+from places import PACKAGES
+from test_cli_drive import refused
 
 from fiohost.bench.log import Log
 from fiohost.errors import FiohostError, LimitError
@@ -27,7 +28,7 @@ from fiohost.wire.messages import BRAKE_COMMAND, STANDBY_COMMAND
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 # ---- what may be asked ---------------------------------------------------------------------------------------------

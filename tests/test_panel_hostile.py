@@ -15,7 +15,7 @@ import pytest
 from boards import rows_of
 from desktop import Chromium, needed
 from panel_runs import running
-from test_cli_drive import ROOT
+from places import PACKAGES
 
 NAME = "elsewhere.example"
 DRIVE = json.dumps({"type": "act", "name": "duty", "value": 60.0})
@@ -83,7 +83,7 @@ def test_a_page_from_elsewhere_drives_nothing_though_it_knows_the_token(
     """
     needed("chromium")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
     with (
         page_elsewhere() as elsewhere,
         running("--web", "--port", "0", "--away", "20", *bind) as run,

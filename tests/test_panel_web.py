@@ -17,7 +17,8 @@ from boards import HANG_S, rows_of
 from desktop import Chromium, needed
 from lines import PATIENT, PtyBoard
 from panel_runs import Run, arrives, drives, joins, press, refuses, running
-from test_cli_drive import FIOHOST, ROOT
+from places import PACKAGES
+from test_cli_drive import FIOHOST
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
@@ -29,7 +30,7 @@ LONG = "900"  # --away where nobody leaves: no load keeps a browser from paintin
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 def ready(run: Run, browser: Chromium) -> None:

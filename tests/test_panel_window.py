@@ -15,7 +15,8 @@ import pytest
 from boards import HANG_S
 from desktop import Screen, needed
 from panel_runs import Run, running
-from test_cli_drive import FIOHOST, ROOT
+from places import PACKAGES
+from test_cli_drive import FIOHOST
 
 from fiohost.bench.log import Log
 from fiohost.panel import link
@@ -28,7 +29,7 @@ BRAKE_BUTTON_X, RELEASE_BUTTON_X = 0.11, 0.63
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 def slider_x(duty_pct: float) -> float:

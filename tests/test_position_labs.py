@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
 import fiohost
 from fiohost.bench.experiment import Experiment
@@ -22,7 +23,6 @@ from fiohost.labs.design import design_lab
 from fiohost.labs.identification import identification
 from fiohost.labs.precompensation import precompensation
 
-ROOT = Path(__file__).resolve().parent.parent
 # The default plant (9 V): full-duty speed 9/Ke, friction torque over stall torque, J R / (Kt Ke).
 GAIN, TAU_S, FRICTION_PCT = np.degrees(9.0 / 0.4869) / 100.0, 3.07e-3 * 5.515 / (0.3408 * 0.4869), 3.676
 PROFILE = BenchProfile("sim", "ramp", 3.75, -3.75, share=0.8)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
 from fiohost.cli.main import cli
 from fiohost.control.closed_loop import Loop, Plant
@@ -23,14 +24,13 @@ from fiohost.labs.constants import TEXT
 from fiohost.labs.tables import judge, plot_rows
 from fiohost.motor.model import Model
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
-import measured_page  # noqa: E402
-import measured_tables  # noqa: E402
-import text_steady  # noqa: E402
-import text_tables  # noqa: E402
-import viscous  # noqa: E402
+import measured_page
+import measured_tables
+import text_steady
+import text_tables
+import viscous
 
 DRY_PCT = 4.0
 LOOPS = [Loop(kp, sample_time_s=0.005, delay_s=0.005) for kp in (0.6, 1.0, 1.6, 2.4)]

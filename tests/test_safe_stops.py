@@ -16,13 +16,13 @@ from typing import IO, Any
 import pytest
 from boards import HANG_S, WatchedTransport, bench_on, rows_of, until
 from lines import BRAKE, PtyBoard, patient
+from places import PACKAGES
 
 from fiohost.bench.log import Log
 from fiohost.bench.loop import Bench
 from fiohost.errors import MotorRunningError
 from fiohost.transport.serial import SerialTransport
 
-ROOT = Path(__file__).parent.parent
 FORWARD = (1440, 1, 0)  # 40 % as the board takes it
 LIMIT_S = HANG_S
 MAIN = "from fiohost.cli.main import main; main()"
@@ -90,7 +90,7 @@ def board() -> Iterator[PtyBoard]:
 
 @pytest.fixture(autouse=True)
 def _checkout(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
 
 
 def whole(log: Path, ending: str, rows: int = 50) -> None:

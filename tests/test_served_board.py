@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from boards import HANG_S, rows_of
 from lines import PATIENT
+from places import PACKAGES, ROOT
 
 from fiohost.bench.connect import connect
 from fiohost.bench.log import Log
@@ -24,13 +25,11 @@ from firmware_model.__main__ import main
 from firmware_model.lines.node import NodeLine, PtyLine
 from firmware_model.serve import serve
 
-ROOT = Path(__file__).parent.parent
-
 
 @contextmanager
 def served(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "firmware_model", "--pty", str(link), *options]
-    board = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    board = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=PACKAGES)
     assert board.stdout is not None
     try:
         assert "Ctrl-C ends" in board.stdout.readline()
@@ -78,7 +77,7 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
-            cwd=ROOT,
+            cwd=PACKAGES,
         )
         deadline = time.monotonic() + HANG_S
         while time.monotonic() < deadline and host.poll() is None and (not log.exists() or len(rows_of(log)) < 80):

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from boards import rows_of, until
 from lines import BRAKE, PtyBoard
-from test_safe_stops import LIMIT_S, ROOT, STEP_40, Host, own_terminal, whole
+from places import PACKAGES
+from test_safe_stops import LIMIT_S, STEP_40, Host, own_terminal, whole
 from tornado.websocket import websocket_connect
 
 
@@ -24,7 +25,7 @@ def board() -> Iterator[PtyBoard]:
 
 @pytest.fixture(autouse=True)
 def _checkout(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(PACKAGES))
     (tmp_path / "step_40.toml").write_text(STEP_40)
 
 
