@@ -195,6 +195,14 @@ def test_a_load_that_runs_have_in_common_is_told_from_how_they_scatter() -> None
         assert least <= sum(estimate_runs(pulls).shares_load(1e-3) for pulls in sets) <= most
 
 
+def test_what_an_effect_takes_is_seen_beside_how_runs_differ() -> None:
+    """Windows as they are have one model for all runs, whose offsets rule them: they err no less with it."""
+    records = differing(8, "bridge_voltage_drop", {"bridge_voltage_drop.drop_pct": 0.2})
+    found = diagnose_records(records, (), Model.parse("linear+coulomb_friction"), library=["bridge_voltage_drop"])
+    told = ([s.effect for s in found.steps], found.verdict, found.explained_to)
+    assert told == (["bridge_voltage_drop"], "explained", "repeatability")
+
+
 def test_a_load_that_all_runs_have_in_common_is_not_how_they_differ() -> None:
     """A library without it has nothing else that would take it, and loads of the runs' own do."""
     rng = np.random.default_rng(2)

@@ -53,8 +53,8 @@ def core_lost(found: Fit, scattered: Sequence[Model] = (), settings: DegenerateS
 
 
 def degenerate(before: Stage, after: Stage, taken: float = 0.0, settings: DegenerateSettings = SETTINGS) -> str | None:
-    """Why a fit with effects added is not believed, or None; of the squared error of windows as they are it has
-    ``taken`` a share: whole runs that differ from each other need not come closer to their mean.
+    """Why a fit with effects added is not believed, or None; of the squared error of windows it has ``taken`` a share:
+    whole runs that differ from each other need not come closer to their mean.
     """
     if lost := core_lost(after.fit, after.scattered_models, settings):
         return lost

@@ -118,7 +118,10 @@ class Ladder:
         white = search.white(seen)
         ruling = () if white else self.windows.ruling(seen.state)
         found = replace(search.found(begun, seen), white=white, ruling=ruling)
-        found = _plainly_fitted(found, self.windows, self.rng)
+        if found.noise is not None and found.noise.runs.known:
+            found = replace(found, taken=self.windows.taken_beside_noise(begun.state, seen.state))
+        else:
+            found = _plainly_fitted(found, self.windows, self.rng)
         explained = found.white and found.final.follows
         return found if self.begun_anew or explained else self._anew() or found
 
@@ -178,10 +181,9 @@ def _plainly_fitted(found: Found[Stage], windows: WeighedWindows, rng: np.random
     """What a search came to, models that leave more than noise fitted to windows as they are: weights are right only
     where all that is left is what they are made of. Their own data err by what they leave so.
 
-    Where runs differ, windows as they are would have one model for all of them: there weights are kept.
+    Not where runs differ: windows as they are would have one model for all of them.
     """
     noise, steps = found.noise, list(found.steps)
-    differ = noise is not None and noise.runs.known
 
     def plainly(stage: Stage) -> Fit:
         return fit(stage.fit.model, windows.plain, windows=True, starts=stage.fit.starts, tolerance=1e-6)
@@ -195,8 +197,6 @@ def _plainly_fitted(found: Found[Stage], windows: WeighedWindows, rng: np.random
     if steps:
         before, after = plainly(found.stages[0]), plainly(found.final)
         taken = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
-    if differ:
-        return replace(found, taken=taken)
     stages = list(found.stages)
     if steps or not found.white:
         stages[0] = plain(stages[0])

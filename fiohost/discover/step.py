@@ -31,7 +31,7 @@ class Step(Generic[J]):
 class Found(Generic[J]):
     """The outcome of one search: the declared stage first, the final one last. ``one_clock`` says that its records were
     taken for one after the other. Where noise decided, ``noise`` is what is left, ``white`` whether it looks so,
-    ``ruling`` what it follows else, and ``taken`` the share of the squared error of windows as they are that the final
+    ``ruling`` what it follows else, and ``taken`` the share of the squared error of windows that the final
     structure takes there.
     """
 

@@ -92,6 +92,12 @@ class WeighedWindows(PlainWindows):
             self._as_they_are[state] = found
         return self._as_they_are[state]
 
+    def taken_beside_noise(self, before: State, after: State) -> float:
+        """The share of the squared error that one state takes of another's under the noise that it leaves, each run
+        with what is its own.
+        """
+        return 1.0 - after.fit.cost / max(self.under(before, after).cost, 1e-300)
+
     def plainly(self, before: State, after: State, names: Sequence[str]) -> bool:
         """Whether windows as they are speak for a candidate, whatever weights say: where much is missing the noise
         takes up what an effect explains, and what is slow in it most of all.
