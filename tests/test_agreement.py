@@ -264,7 +264,7 @@ def test_a_running_board_has_loaded_nothing_of_the_host() -> None:
 def test_a_fit_has_loaded_nothing_of_the_board() -> None:
     rooms = "".join(f"everything('fiohost.{room}')\n" for room in FIT_ROOMS)
     fitting = (
-        "import sys; sys.path.insert(0, 'tests')\n"
+        f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r})\n"
         "from bench_data import suite, truth_model\n"
         "from fiohost.estimation.fit import fit_from_scratch\n"
         "fit_from_scratch(truth_model(), suite(truth_model(), 1, 2.0))\n"
