@@ -146,7 +146,7 @@ def _useful_hz(motions: Sequence[_Motion]) -> float | None:
         evenly = np.arange(m.times_s[0], m.times_s[-1], m.sample_s)  # missing rows would be steps
         # Second differences: steps of speed are flat in them, and the readings' error rises as the fourth power.
         bends = np.diff(np.interp(evenly, m.times_s, m.raw), n=2)
-        power, hz = psd(bends, samples, 1.0 / m.sample_s, detrend="mean", noverlap=samples // 2)
+        power, hz = map(np.asarray, psd(bends, samples, 1.0 / m.sample_s, detrend="mean", noverlap=samples // 2))
         error = 2.0 * m.sample_s * m.variance * (2.0 * np.sin(np.pi * hz * m.sample_s)) ** 4
         above = np.cumsum(power[1:] > ABOVE_ERROR * error[1:]) / np.arange(1, len(hz))
         good = np.flatnonzero(above > MOST_LINES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +63,7 @@ def phase_slots(name: str) -> tuple[tuple[int, int, int], ...]:
     )
 
 
-@dataclass(frozen=True)
-class Flat:
+class Flat(NamedTuple):
     """A model as the kernel takes it: parameter array, switches, step, and what of it matters for initial states.
 
     ``phases`` are the slots of phases and orders of what is bound to the angle, and how often they count; ``zero`` is
@@ -92,7 +92,7 @@ class Flat:
     def at(self, p: np.ndarray) -> Flat:
         """The same model with other values in its parameter array, for the bench's zero."""
         gap = bool(self.on[BACKLASH]) and float(p[GAP]) > 0.0
-        return replace(self, p=p, seen=seen_angle(p, self.on), gap=gap, zero=0.0)
+        return self._replace(p=p, seen=seen_angle(p, self.on), gap=gap, zero=0.0)
 
     @property
     def remembers(self) -> bool:
@@ -120,7 +120,7 @@ class Flat:
         p = self.p.copy()
         for (phase, _, _), turns in zip(self.phases, self._turns(), strict=True):
             p[phase] += turns * turn
-        return replace(self, p=p, zero=zero or 0.0)
+        return self._replace(p=p, zero=zero or 0.0)
 
 
 def of_run(record: Record, flat: Flat, start: Start) -> Flat:
@@ -130,7 +130,7 @@ def of_run(record: Record, flat: Flat, start: Start) -> Flat:
     if own is None or not own.values.any():
         return flat
     p, on = shifted(flat.p, flat.on, own.values)
-    return replace(flat, p=p, on=on)
+    return flat._replace(p=p, on=on)
 
 
 def read(record: Record, flat: Flat, states: np.ndarray) -> np.ndarray:
