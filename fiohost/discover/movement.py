@@ -9,6 +9,7 @@ import numpy as np
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.predict import Flat, speed_step, turned_deg, windowed
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.motor.electrics import winding_lag
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, speed_kept
 from fiohost.motor.state import LOAD_THETA, OMEGA, STANDBY, THETA
@@ -52,12 +53,20 @@ def standing(record: Record, model: Model, start: Start, torque_pct: float) -> n
     return np.asarray(np.convolve(moves, np.ones(2 * near + 1), mode="same") <= 0.5)
 
 
+def settling_s(model: Model) -> float:
+    """The lag with which a model's speed settles, motor and winding together: by the slower of the roots of
+    ``tau T s^2 + tau s + 1`` with the winding's lag T; where both swing, by how fast that dies away.
+    """
+    tau_s, winding_s = model.number("linear.tau_s"), float(winding_lag(model.vector(), model.switches()))
+    return max(0.5 * tau_s * (1.0 + np.sqrt(max(1.0 - 4.0 * winding_s / tau_s, 0.0))), 2.0 * winding_s)
+
+
 def movement(record: Record, model: Model, start: Start) -> Movement:
     """How a model's shaft moves in a record's windows, nowhere at rest: what a small change of its speed becomes from
     each sample to the next says with which lag it settles; where it turns against friction, which share it keeps.
     """
     flat, ex = Flat.of(model).from_zero(start.zero), record.excitation
-    tau_s, step = model.number("linear.tau_s"), speed_step(flat)
+    tau_s, step = settling_s(model), speed_step(flat)
     shortest, longest = (tau_s * lag for lag in WHITENING.lags)
     lags = np.where(coasting(record), longest, tau_s)
     if not flat.on.any():

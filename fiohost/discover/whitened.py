@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.movement import at_rest, coasting, movement, simulated_in_windows, standing
+from fiohost.discover.movement import at_rest, coasting, movement, settling_s, simulated_in_windows, standing
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed
@@ -83,7 +83,7 @@ def motor_of(record: Record, model: Model) -> Motor:
     """The model's motor as a torque meets it, and the record's sensor; numbers rounded, so that work on them serves
     again.
     """
-    gain, tau_s = model.number("linear.gain_deg_s_per_pct"), model.number("linear.tau_s")
+    gain, tau_s = model.number("linear.gain_deg_s_per_pct"), settling_s(model)
     return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), record.kind, record.quantum, record.sample_time_s)
 
 

@@ -15,6 +15,7 @@ from fiohost.motor.model import Model, slot
 from fiohost.motor.state import (
     BACKLASH,
     CONTACT,
+    CURRENT,
     GAP,
     LOAD_OMEGA,
     LOAD_THETA,
@@ -41,6 +42,10 @@ _COUPLINGS = [
     )
     for e, share in ((effect("backlash"), "load_inertia_ratio"), (effect("shaft_compliance"), "inertia_ratio"))
 ]
+
+
+# A change of speed of which no more than this share is left after a sample is gone, and its current with it.
+LASTING = 0.1
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,8 @@ def speed_kept(
     first: int,
 ) -> np.ndarray:
     """Which share (n - 1) of a small change of speed is there one sample later, along a run's ``states`` (n,
-    STATE_SIZE) from sample ``first`` on; motor and load are changed together.
+    STATE_SIZE) from sample ``first`` on; motor and load are changed together, and the current as a change of speed that
+    is there for longer has changed it: at once the winding's lag would hide that the current brakes it.
     """
     ex, kept = excitation, np.empty(len(states) - 1)
     _speed_kept(
@@ -189,15 +195,19 @@ def speed_kept(
 def _speed_kept(  # type: ignore[no-untyped-def]
     times, act_times, duties, modes, clock, first, states, step, state, substep, p, on, at, kept
 ):
+    by_speed = 0.0
     for i in range(states.shape[0] - 1):
         for k in range(WORK_SIZE):
             state[k] = states[i, k] if k < STATE_SIZE else 0.0
         state[OMEGA] += step
         state[LOAD_OMEGA] += step
+        state[CURRENT] += by_speed * step
         kernel.simulate(
             times, act_times, duties, modes, clock, first + i, first + i + 2, state, substep, p, on, at
         )  # fmt: skip
-        kept[i] = (at[1, OMEGA] - states[i + 1, OMEGA]) / step
+        left = at[1, OMEGA] - states[i + 1, OMEGA]
+        kept[i] = left / step
+        by_speed = (at[1, CURRENT] - states[i + 1, CURRENT]) / left if left > LASTING * step else 0.0
 
 
 def free_run(model: Model, excitation: Excitation, theta_deg: float, omega_deg_s: float = 0.0) -> np.ndarray:
