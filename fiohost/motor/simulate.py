@@ -10,6 +10,7 @@ import numpy as np
 from fiohost.motor import kernel
 from fiohost.motor.compiled import compiled
 from fiohost.motor.effect import effect
+from fiohost.motor.events import SPRING
 from fiohost.motor.hooks import EFFECT_INDEX
 from fiohost.motor.model import Model, slot
 from fiohost.motor.state import (
@@ -180,8 +181,9 @@ def speed_kept(
     first: int,
 ) -> np.ndarray:
     """Which share (n - 1) of a small change of speed is there one sample later, along a run's ``states`` (n,
-    STATE_SIZE) from sample ``first`` on; motor and load are changed together, and the current as a change of speed that
-    is there for longer has changed it: at once the winding's lag would hide that the current brakes it.
+    STATE_SIZE) from sample ``first`` on. Motor and load are changed together, and the current as a change of speed that
+    is there for longer has changed it: at once the winding's lag would hide that the current brakes it, and a spring
+    between both that the load drives the motor on.
     """
     ex, kept = excitation, np.empty(len(states) - 1)
     _speed_kept(
@@ -195,7 +197,8 @@ def speed_kept(
 def _speed_kept(  # type: ignore[no-untyped-def]
     times, act_times, duties, modes, clock, first, states, step, state, substep, p, on, at, kept
 ):
-    by_speed = 0.0
+    kind, share, _, _, _, _ = kernel.joint_of(p, on)
+    of_load, by_speed = share if kind == SPRING else 0.0, 0.0
     for i in range(states.shape[0] - 1):
         for k in range(WORK_SIZE):
             state[k] = states[i, k] if k < STATE_SIZE else 0.0
@@ -206,6 +209,7 @@ def _speed_kept(  # type: ignore[no-untyped-def]
             times, act_times, duties, modes, clock, first + i, first + i + 2, state, substep, p, on, at
         )  # fmt: skip
         left = at[1, OMEGA] - states[i + 1, OMEGA]
+        left += of_load * (at[1, LOAD_OMEGA] - states[i + 1, LOAD_OMEGA] - left)
         kept[i] = left / step
         by_speed = (at[1, CURRENT] - states[i + 1, CURRENT]) / left if left > LASTING * step else 0.0
 
