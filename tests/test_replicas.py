@@ -24,3 +24,18 @@ def test_what_is_at_its_bound_stays_there_in_what_a_replica_would_be_fitted_to()
     assert again.number("backlash.load_inertia_ratio") == 0.0
     assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=1e-3)
     assert again.number("backlash.gap_deg") == pytest.approx(3.05, abs=1e-3)
+
+
+def test_a_level_that_no_reading_hangs_on_stays_in_what_a_replica_would_be_fitted_to() -> None:
+    """Between two levels that a shaft was driven at any break-away does: its derivative is rounding. One step by it led
+    to either end, so that a true model's own data erred by ten times what the real ones did, and it was not believed.
+    """
+    values = {"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.08, "coulomb_friction.level_pct": 3.0}
+    model = Model(("coulomb_friction",), values).with_effect("static_friction", {"extra_pct": 3.4})
+    names = ("linear.gain_deg_s_per_pct", "static_friction.extra_pct")
+    columns = np.random.default_rng(2).standard_normal((400, 2)) * [1.0, 1e-11]
+    noise = 0.1 * columns[:, 0] + np.random.default_rng(3).standard_normal(400)
+    fitted = Fit(model, names, 1.0, (noise,), (columns,), (np.empty((400, 0)),), (Start(0.0, 0.0),), True, 400.0)
+    again = refitted(fitted, [noise])
+    assert again.number("static_friction.extra_pct") == 3.4
+    assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=0.1)

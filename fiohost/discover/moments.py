@@ -26,7 +26,7 @@ MOMENTS = SETTINGS.moments
 
 def moment_of(effect: Effect) -> Parameter | None:
     """The parameter that says when an event happened, if the effect is one."""
-    return next((p for p in effect.parameters if p.ragged and p.neutral is None), None) if effect.once else None
+    return next((p for p in effect.parameters if p.is_searched), None) if effect.once else None
 
 
 def fit_event(base: Fit, effect: Effect, records: Sequence[Record]) -> Fit:

@@ -58,7 +58,7 @@ def settling_s(model: Model) -> float:
     ``tau T s^2 + tau s + 1`` with the winding's lag T; where both swing, by how fast that dies away.
     """
     tau_s, winding_s = model.number("linear.tau_s"), float(winding_lag(model.vector(), model.switches()))
-    return max(0.5 * tau_s * (1.0 + np.sqrt(max(1.0 - 4.0 * winding_s / tau_s, 0.0))), 2.0 * winding_s)
+    return float(max(0.5 * tau_s * (1.0 + np.sqrt(max(1.0 - 4.0 * winding_s / tau_s, 0.0))), 2.0 * winding_s))
 
 
 def movement(record: Record, model: Model, start: Start) -> Movement:

@@ -84,15 +84,15 @@ def covariance(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return sandwich(fit.residuals, fit.jacobians)
 
 
-def between_runs(fit: Fit) -> np.ndarray:
-    """Half widths (k) of 95 % intervals of what is fitted, from how the records, runs of one bench, scatter; zeros of
-    one record.
+def between_runs(fit: Fit, which: Sequence[int]) -> np.ndarray:
+    """Half widths (k) of 95 % intervals of ``which`` (k) parameters, the others held, from how the records, runs of one
+    bench, scatter; zeros of one record.
     """
-    runs = len(fit.residuals)
-    if runs < 2 or not fit.names:
-        return np.zeros(len(fit.names))
-    hessian = sum(columns.T @ columns for columns in fit.jacobians)
-    pulls = np.array([c.T @ r for c, r in zip(fit.jacobians, fit.residuals, strict=True)])  # (runs, k)
+    runs, jacobians = len(fit.residuals), [c[:, which] for c in fit.jacobians]
+    if runs < 2:
+        return np.zeros(len(which))
+    hessian = sum(columns.T @ columns for columns in jacobians)
+    pulls = np.array([c.T @ r for c, r in zip(jacobians, fit.residuals, strict=True)])  # (runs, k)
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=NEAR_SINGULAR, hermitian=True)
     moves = (pulls / scale) @ inverse / scale
@@ -110,7 +110,13 @@ def estimates(
     ``runs_differ`` says that each record is a run of its own and that these differ.
     """
     cov, determined = covariance(fit)
-    runs = between_runs(fit) if runs_differ else np.zeros(len(fit.names))
+    # What was searched holds where it was found: what trades with its derivative is not as open as that says.
+    kept = [i for i, name in enumerate(fit.names) if not fit.model.parameter(name).is_searched]
+    if 0 < len(kept) < len(fit.names):
+        cov[np.ix_(kept, kept)], determined[kept] = sandwich(fit.residuals, [c[:, kept] for c in fit.jacobians])
+    runs = np.zeros(len(fit.names))
+    if runs_differ and kept:
+        runs[kept] = between_runs(fit, kept)
     found: dict[str, Estimate] = {}
     for name, value in fit.model.values.items():
         parameter = fit.model.parameter(name)

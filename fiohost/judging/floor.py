@@ -48,13 +48,16 @@ def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
     """The model that a fit to a replica would give, by one step: ``noises`` are the replica's residuals, one a record.
 
     Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. What was
-    searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is.
+    searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is. So does
+    a level that no reading hangs on: its derivative is that of rounding, which leads anywhere.
     """
     parameters = [fitted.model.parameter(name) for name in fitted.names]
+    norms = np.linalg.norm(np.vstack(fitted.jacobians), axis=0)
+    least = FLOOR.seen * float(np.sqrt(sum(float(n @ n) for n in noises)))
     followed = [
         i
-        for i, (name, q) in enumerate(zip(fitted.names, parameters, strict=True))
-        if not (q.ragged and q.neutral is None) and q.lower < fitted.model.number(name) < q.upper
+        for i, (name, q, norm) in enumerate(zip(fitted.names, parameters, norms, strict=True))
+        if not q.is_searched and q.lower < fitted.model.number(name) < q.upper and (q.upper - q.lower) * norm > least
     ]
     if not followed:
         return fitted.model

@@ -20,6 +20,8 @@ class FloorSettings:
     lost_counts: float = 0.5
     # Windows whose residual spans so many counts are wide: no angle fits all their samples.
     wide: float = 1.15
+    # What moves the readings by less than this share of what is left, all the way from bound to bound, is not seen.
+    seen: float = 1e-4
     # A fitted start that leaves less than this share of the squared error is another one, not the same a little better:
     # play and drift in a gap that the first second does not show.
     another_start: float = 0.25

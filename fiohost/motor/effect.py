@@ -140,6 +140,11 @@ class Parameter:
         return self.kind not in (Kind.CHOICE, Kind.ORDER, Kind.PLACE)
 
     @property
+    def is_searched(self) -> bool:
+        """Whether it is only searched for: no derivative says how far off it is, as of a moment."""
+        return self.ragged and self.neutral is None
+
+    @property
     def is_length(self) -> bool:
         """Whether it is counted in degrees, which on a linear axis are millimetres."""
         return self.unit.startswith("deg") and self.period is None
