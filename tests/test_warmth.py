@@ -16,6 +16,8 @@ from fiohost.estimation.initial import guessed_warmth, initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, errors, free_output, some_windows
 from fiohost.estimation.record import Record, make_record, with_bench
+from fiohost.motor.effect import effect
+from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.estimate import NONE, Ranged
 
@@ -26,14 +28,20 @@ WARMING = truth_model(
 )
 
 
-def begun(warmths: tuple[float, ...]) -> list[Record]:
+WEARING = truth_model(
+    ("coulomb_friction", "friction_warm_up"),
+    {"friction_warm_up.ratio": 0.35, "friction_warm_up.time_constant_s": 9.0, "friction_warm_up.follows": "running"},
+)
+
+
+def begun(warmths: tuple[float, ...], truth: Model = WARMING) -> list[Record]:
     """Runs of 12 s with rests, one for each warmth at its beginning, some seconds after each other."""
     rng, records = np.random.default_rng(7), []
     for i, warmth in enumerate(warmths):
         levels = np.where(np.arange(12) % 3 == 2, 0.0, rng.uniform(20.0, 70.0, 12) * rng.choice([-1.0, 1.0], 12))
-        record = measure(WARMING, np.repeat(levels, 200), rng, name=f"run {i}")
+        record = measure(truth, np.repeat(levels, 200), rng, name=f"run {i}")
         record = replace(record, excitation=replace(record.excitation, clock_s=14.0 * i))
-        angle = free_output(record, Flat.of(WARMING), Start(0.1, 0.0, warmth=warmth))
+        angle = free_output(record, Flat.of(truth), Start(0.1, 0.0, warmth=warmth))
         records.append(replace(record, y=np.floor(angle / QUANTUM_DEG) * QUANTUM_DEG))
     return records
 
@@ -98,3 +106,18 @@ def test_a_warmth_that_windows_took_for_that_of_running_follows_time_in_whole_ru
     right = chosen_again(wrong, records)
     assert right.model.values["gain_warm_up.follows"] == "time"
     assert right.rms < 0.2 < 0.5 * wrong.rms
+
+
+@pytest.mark.parametrize("trial", range(6))
+def test_a_warmth_that_may_not_go_as_far_as_it_would_does_not_hold_the_rest_back(trial: int) -> None:
+    """From where all runs seem cold: the parameters went as if the warmth went all the way at once, so that no step
+    paid, and friction that falls was told as friction that differs from run to run.
+    """
+    records = with_bench(begun((0.0, 0.65, 0.85), WEARING))
+    rough = fit(truth_model(), records, windows=True)
+    added = rough.model.with_effect("friction_warm_up", effect("friction_warm_up").trials[trial])
+    found = fit(added, records, windows=True, starts=rough.starts, max_iterations=1, tolerance=1e-2)
+    for steps, tolerance in ((4, 1e-2), (25, 1e-4), (25, 1e-6)):
+        found = fit(found.model, records, windows=True, starts=found.starts, max_iterations=steps, tolerance=tolerance)
+    follows = {"friction_warm_up.follows": found.model.values["friction_warm_up.follows"]}
+    assert found.cost < 1.05 * fit(WEARING.with_values(follows), records, windows=True).cost

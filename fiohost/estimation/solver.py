@@ -13,7 +13,7 @@ import numpy as np
 
 from fiohost.estimation.predict import Begun, Flat, errors, squared, windowed
 from fiohost.estimation.record import Record
-from fiohost.estimation.starts import moved_start, start_columns
+from fiohost.estimation.starts import moved_start, start_columns, within_reach
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
@@ -154,36 +154,45 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-class _Equations(NamedTuple):
-    """The normal equations of all records by parameters, initial states eliminated: ``gradient`` (k) and ``hessian``
-    (k, k). ``parts`` say for each record how its initial state follows a step, ``by_starts`` what these alone gain.
+class _Part(NamedTuple):
+    """A record's normal equations by parameters, as its start is held: ``gradient`` (k), ``hessian`` (k, k); how a
+    start's columns (q) go along with parameters (``cross``, q by k); and how the start follows a step: by ``along``
+    (q, k) less than ``alone`` (q), where no step is taken, which gains ``by_start``.
     """
 
     gradient: np.ndarray
     hessian: np.ndarray
-    parts: list[np.ndarray]
-    by_starts: float
+    cross: np.ndarray
+    along: np.ndarray
+    alone: np.ndarray
+    by_start: float
 
     @classmethod
-    def of(
-        cls, residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray], nuisances: Sequence[np.ndarray]
-    ) -> _Equations:
-        count = jacobians[0].shape[1]
-        gradient, hessian, parts, by_starts = np.zeros(count), np.zeros((count, count)), [], 0.0
-        for residual, columns, nuisance in zip(residuals, jacobians, nuisances, strict=True):
-            inner = nuisance.T @ nuisance
-            inner += (1e-12 * np.trace(inner) + 1e-200) * np.eye(len(inner)) if len(inner) else 0.0
-            cross = nuisance.T @ columns
-            pull = nuisance.T @ residual
-            eliminate = np.linalg.solve(inner, np.column_stack((cross, pull))) if len(inner) else np.empty((0, 0))
-            gradient += columns.T @ residual
-            hessian += columns.T @ columns
-            if len(inner):
-                by_starts += float(pull @ eliminate[:, -1])
-                gradient -= cross.T @ eliminate[:, -1]
-                hessian -= cross.T @ eliminate[:, :-1]
-            parts.append(eliminate)
-        return cls(gradient, hessian, parts, by_starts)
+    def of(cls, residual: np.ndarray, columns: np.ndarray, nuisance: np.ndarray) -> _Part:
+        inner, cross, pull = nuisance.T @ nuisance, nuisance.T @ columns, nuisance.T @ residual
+        along, alone = cross, pull
+        if len(inner):
+            inner += (1e-12 * np.trace(inner) + 1e-200) * np.eye(len(inner))
+            follows = np.linalg.solve(inner, np.column_stack((cross, pull)))
+            along, alone = follows[:, :-1], follows[:, -1]
+        return cls(columns.T @ residual, columns.T @ columns, cross, along, alone, float(pull @ alone))
+
+
+class _Equations(NamedTuple):
+    """The normal equations of all records by parameters: ``gradient`` (k) and ``hessian`` (k, k), the initial states
+    eliminated but for those whose shift is given.
+    """
+
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+    @classmethod
+    def of(cls, parts: Sequence[_Part], given: Sequence[np.ndarray | None]) -> _Equations:
+        gradient, hessian = np.zeros_like(parts[0].gradient), np.zeros_like(parts[0].hessian)
+        for part, shift in zip(parts, given, strict=True):
+            gradient += part.gradient - part.cross.T @ (part.alone if shift is None else shift)
+            hessian += part.hessian - (part.cross.T @ part.along if shift is None else 0.0)
+        return cls(gradient, hessian)
 
     def step(self, active: np.ndarray, damping: float) -> np.ndarray | None:
         """The damped step (k) of the parameters that are ``active``; None where the equations are singular."""
@@ -200,29 +209,47 @@ class _Equations(NamedTuple):
 
 
 def _stepped(
-    problem: Problem, point: Point, equations: _Equations, cost: float, damping: float, least: float
+    problem: Problem, point: Point, parts: Sequence[_Part], cost: float, damping: float, least: float
 ) -> tuple[tuple[Point, list[np.ndarray], float] | None, float]:
     """The point that a step leads to from one of squared error ``cost``, with its residuals and error, None where no
     step pays or promises ``least``; and the damping at which that was seen.
+
+    A start that is not to go as far as it would is held where it may go, and the parameters step as suits it there:
+    else they would go ahead of it, and no step would pay.
     """
-    values, flat, gradient = point.p[problem.slots], problem.flat(point.p), equations.gradient
-    blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
-    active = ~blocked & (np.diag(equations.hessian) > 1e-20 * max(cost, 1e-20))
+    values, flat = point.p[problem.slots], problem.flat(point.p)
+    free = _Equations.of(parts, [None] * len(parts))
+    by_starts = sum(part.by_start for part in parts)
+
+    def active(equations: _Equations) -> np.ndarray:
+        gradient = equations.gradient
+        blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
+        return np.asarray(~blocked & (np.diag(equations.hessian) > 1e-20 * max(cost, 1e-20)))
+
     for attempt in range(ATTEMPTS):
-        step = equations.step(active, damping)
+        step = free.step(active(free), damping)
         if step is None:
             damping = max(damping, 1e-6) * 10.0
             continue
         moved = np.clip(values + step, problem.lower, problem.upper)
-        step = moved - values
-        if float(step @ gradient) + equations.by_starts <= least:
+        if float((moved - values) @ free.gradient) + by_starts <= least:
             break
+        share, given = REACH_SHRINKS**attempt, list[np.ndarray | None]()
+        for record, part, start in zip(problem.records, parts, point.starts, strict=True):
+            shift = part.alone - part.along @ (moved - values)
+            near = within_reach(record, flat, start, shift, problem.windows, share)
+            given.append(None if np.array_equal(near, shift) else near)
+        if any(near is not None for near in given):
+            held = _Equations.of(parts, given)
+            beside = held.step(active(held), damping)
+            moved = values if beside is None else np.clip(values + beside, problem.lower, problem.upper)
         trial = Point(point.p.copy(), list(point.starts), point.begins)
         trial.p[problem.slots] = moved
-        for i, (record, part) in enumerate(zip(problem.records, equations.parts, strict=True)):
-            if part.size:
-                shift, reach = part[:, -1] - part[:, :-1] @ step, REACH_SHRINKS**attempt
-                trial.starts[i] = moved_start(record, flat, trial.starts[i], shift, problem.windows, reach)
+        for i, (record, part, held_at) in enumerate(zip(problem.records, parts, given, strict=True)):
+            if len(part.alone):
+                shift = part.alone - part.along @ (moved - values) if held_at is None else held_at
+                shift = within_reach(record, flat, trial.starts[i], shift, problem.windows, share)
+                trial.starts[i] = moved_start(record, flat, trial.starts[i], shift, problem.windows)
         residuals, new = problem.residuals(trial, most=cost)
         if new <= cost:
             return (trial, residuals, new), damping
@@ -250,8 +277,8 @@ def solve(problem: Problem, point: Point, max_iterations: int, tolerance: float)
                 break
             begun, damping = cost, 1e-4
         jacobians, nuisances = problem.linearise(point, residuals, exactly)
-        equations = _Equations.of(residuals, jacobians, nuisances)
-        better, damping = _stepped(problem, point, equations, cost, damping, PROMISED * tolerance * cost)
+        parts = [_Part.of(*of) for of in zip(residuals, jacobians, nuisances, strict=True)]
+        better, damping = _stepped(problem, point, parts, cost, damping, PROMISED * tolerance * cost)
         if better is None:
             converged = exactly or tolerance > ALONG_TANGENT
             if not converged:

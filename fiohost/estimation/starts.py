@@ -58,20 +58,37 @@ def _turned(flat: Flat, start: Start, phase_deg: float) -> tuple[Start, float]:
     return start._replace(zero=(start.zero or 0.0) + step), step
 
 
-def moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool, share: float) -> Start:
-    """A start moved along the columns of its derivatives, warmth and own zero by a share of their reach at most."""
+def within_reach(
+    record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool, share: float
+) -> np.ndarray:
+    """A shift (n) of a start along the columns of its derivatives, that of warmth and own zero by a share of their
+    reach at most; a warmth stays from 0 to 1.
+    """
+    found, last = shift.copy(), len(shift)
+    if has_own_zero(record, flat):
+        last, most = last - 1, share * ZERO_REACH / max(flat.orders())
+        found[last] = min(max(found[last], -most), most)
+    if last > _by_motion(record, windows):
+        last, most = last - 1, share * WARMTH_REACH
+        found[last] = min(max(found[last], -most, -start.warmth), most, 1.0 - start.warmth)
+    return found
+
+
+def _by_motion(record: Record, windows: bool) -> int:
+    """How many columns are those of angle and speed."""
+    return 0 if windows else int(record.kind == ANGLE) + int(not record.at_rest)
+
+
+def moved_start(record: Record, flat: Flat, start: Start, shift: np.ndarray, windows: bool) -> Start:
+    """A start moved along the columns of its derivatives."""
     left = [float(s) for s in shift]
     if has_own_zero(record, flat):
-        most = share * ZERO_REACH / max(flat.orders())
-        start = start._replace(zero=(start.zero or 0.0) + min(max(left.pop(), -most), most))
+        start = start._replace(zero=(start.zero or 0.0) + left.pop())
+    if len(left) > _by_motion(record, windows):
+        start = start._replace(warmth=start.warmth + left.pop())
     if record.kind == ANGLE and not windows:
         start = start._replace(angle=start.angle + left.pop(0))
-    if not record.at_rest and not windows:
-        start = start._replace(speed=start.speed + left.pop(0))
-    if left:
-        most = share * WARMTH_REACH
-        start = start._replace(warmth=min(max(start.warmth + min(max(left.pop(0), -most), most), 0.0), 1.0))
-    return start
+    return start._replace(speed=start.speed + left.pop(0)) if left else start
 
 
 def free_spans(record: Record, flat: Flat, columns: int) -> np.ndarray:
