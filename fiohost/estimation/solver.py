@@ -154,45 +154,55 @@ def project(columns: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-class _Part(NamedTuple):
-    """A record's normal equations by parameters, as its start is held: ``gradient`` (k), ``hessian`` (k, k); how a
-    start's columns (q) go along with parameters (``cross``, q by k); and how the start follows a step: by ``along``
-    (q, k) less than ``alone`` (q), where no step is taken, which gains ``by_start``.
+class _Followed(NamedTuple):
+    """A record's normal equations by parameters, its start following them: ``gradient`` (k), ``hessian`` (k, k). The
+    start's shift (q) is ``alone`` less ``along`` (q, k) times their step.
     """
 
     gradient: np.ndarray
     hessian: np.ndarray
-    cross: np.ndarray
     along: np.ndarray
     alone: np.ndarray
-    by_start: float
+
+
+class _Part(NamedTuple):
+    """What a record says of a step: ``gradient`` (k) and ``hessian`` (k, k) by parameters; ``pull`` (q) and ``inner``
+    (q, q) by its start; ``cross`` (q, k) by both.
+    """
+
+    gradient: np.ndarray
+    hessian: np.ndarray
+    pull: np.ndarray
+    inner: np.ndarray
+    cross: np.ndarray
 
     @classmethod
     def of(cls, residual: np.ndarray, columns: np.ndarray, nuisance: np.ndarray) -> _Part:
-        inner, cross, pull = nuisance.T @ nuisance, nuisance.T @ columns, nuisance.T @ residual
-        along, alone = cross, pull
-        if len(inner):
-            inner += (1e-12 * np.trace(inner) + 1e-200) * np.eye(len(inner))
-            follows = np.linalg.solve(inner, np.column_stack((cross, pull)))
-            along, alone = follows[:, :-1], follows[:, -1]
-        return cls(columns.T @ residual, columns.T @ columns, cross, along, alone, float(pull @ alone))
+        inner = nuisance.T @ nuisance
+        inner += (1e-12 * np.trace(inner) + 1e-200) * np.eye(len(inner))
+        return cls(columns.T @ residual, columns.T @ columns, nuisance.T @ residual, inner, nuisance.T @ columns)
+
+    def followed(self, held: np.ndarray, at: np.ndarray) -> _Followed:
+        """The equations with the start eliminated, what of its shift is ``held`` (q) being ``at`` (q)."""
+        free, alone, along = ~held, np.where(held, at, 0.0), np.zeros_like(self.cross)
+        gradient, hessian = self.gradient - self.cross.T @ alone, self.hessian
+        if free.any():
+            pull, cross = self.pull[free] - self.inner[free] @ alone, self.cross[free]
+            follows = np.linalg.solve(self.inner[np.ix_(free, free)], np.column_stack((cross, pull)))
+            along[free], alone[free] = follows[:, :-1], follows[:, -1]
+            gradient, hessian = gradient - cross.T @ alone[free], hessian - cross.T @ along[free]
+        return _Followed(gradient, hessian, along, alone)
 
 
 class _Equations(NamedTuple):
-    """The normal equations of all records by parameters: ``gradient`` (k) and ``hessian`` (k, k), the initial states
-    eliminated but for those whose shift is given.
-    """
+    """The normal equations of all records by parameters: ``gradient`` (k) and ``hessian`` (k, k)."""
 
     gradient: np.ndarray
     hessian: np.ndarray
 
     @classmethod
-    def of(cls, parts: Sequence[_Part], given: Sequence[np.ndarray | None]) -> _Equations:
-        gradient, hessian = np.zeros_like(parts[0].gradient), np.zeros_like(parts[0].hessian)
-        for part, shift in zip(parts, given, strict=True):
-            gradient += part.gradient - part.cross.T @ (part.alone if shift is None else shift)
-            hessian += part.hessian - (part.cross.T @ part.along if shift is None else 0.0)
-        return cls(gradient, hessian)
+    def of(cls, parts: Sequence[_Followed]) -> _Equations:
+        return cls(np.sum([p.gradient for p in parts], axis=0), np.sum([p.hessian for p in parts], axis=0))
 
     def step(self, active: np.ndarray, damping: float) -> np.ndarray | None:
         """The damped step (k) of the parameters that are ``active``; None where the equations are singular."""
@@ -218,38 +228,41 @@ def _stepped(
     else they would go ahead of it, and no step would pay.
     """
     values, flat = point.p[problem.slots], problem.flat(point.p)
-    free = _Equations.of(parts, [None] * len(parts))
-    by_starts = sum(part.by_start for part in parts)
+    freely = [p.followed(np.zeros(len(p.pull), dtype=bool), p.pull) for p in parts]
+    by_starts = sum(float(p.pull @ f.alone) for p, f in zip(parts, freely, strict=True))
+    free = _Equations.of(freely)
 
-    def active(equations: _Equations) -> np.ndarray:
+    def moved_by(equations: _Equations) -> np.ndarray | None:
         gradient = equations.gradient
         blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
-        return np.asarray(~blocked & (np.diag(equations.hessian) > 1e-20 * max(cost, 1e-20)))
+        active = ~blocked & (np.diag(equations.hessian) > 1e-20 * max(cost, 1e-20))
+        step = equations.step(active, damping)
+        return None if step is None else np.clip(values + step, problem.lower, problem.upper)
+
+    def shifts(follow: Sequence[_Followed], moved: np.ndarray, share: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """How far each start would go, and how far it may."""
+        wanted = [f.alone - f.along @ (moved - values) for f in follow]
+        each = zip(problem.records, point.starts, wanted, strict=True)
+        return [(w, within_reach(r, flat, start, w, problem.windows, share)) for r, start, w in each]
 
     for attempt in range(ATTEMPTS):
-        step = free.step(active(free), damping)
-        if step is None:
+        moved = moved_by(free)
+        if moved is None:
             damping = max(damping, 1e-6) * 10.0
             continue
-        moved = np.clip(values + step, problem.lower, problem.upper)
         if float((moved - values) @ free.gradient) + by_starts <= least:
             break
-        share, given = REACH_SHRINKS**attempt, list[np.ndarray | None]()
-        for record, part, start in zip(problem.records, parts, point.starts, strict=True):
-            shift = part.alone - part.along @ (moved - values)
-            near = within_reach(record, flat, start, shift, problem.windows, share)
-            given.append(None if np.array_equal(near, shift) else near)
-        if any(near is not None for near in given):
-            held = _Equations.of(parts, given)
-            beside = held.step(active(held), damping)
-            moved = values if beside is None else np.clip(values + beside, problem.lower, problem.upper)
+        share, follow = REACH_SHRINKS**attempt, freely
+        far = [(wanted != may, may) for wanted, may in shifts(freely, moved, share)]
+        if any(held.any() for held, _ in far):
+            follow = [p.followed(*at) if at[0].any() else f for p, f, at in zip(parts, freely, far, strict=True)]
+            beside = moved_by(_Equations.of(follow))
+            moved = values if beside is None else beside
         trial = Point(point.p.copy(), list(point.starts), point.begins)
         trial.p[problem.slots] = moved
-        for i, (record, part, held_at) in enumerate(zip(problem.records, parts, given, strict=True)):
-            if len(part.alone):
-                shift = part.alone - part.along @ (moved - values) if held_at is None else held_at
-                shift = within_reach(record, flat, trial.starts[i], shift, problem.windows, share)
-                trial.starts[i] = moved_start(record, flat, trial.starts[i], shift, problem.windows)
+        for i, (record, (_, may)) in enumerate(zip(problem.records, shifts(follow, moved, share), strict=True)):
+            if len(may):
+                trial.starts[i] = moved_start(record, flat, trial.starts[i], may, problem.windows)
         residuals, new = problem.residuals(trial, most=cost)
         if new <= cost:
             return (trial, residuals, new), damping
