@@ -242,3 +242,22 @@ def test_where_no_candidate_comes_near_more_may_be_asked_for_later(monkeypatch: 
     assert search.run(root) is root
     search.forget_far()
     assert search.run(root).names == {FIRST}
+
+
+@pytest.mark.parametrize(("least", "names"), [(0.1, {OTHER}), (0.01, {FIRST, OTHER})])
+def test_beside_noise_a_name_stays_only_where_it_is_believed_beside_those_found_later(
+    least: float, names: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A load took half of what a friction by direction leaves; beside that it takes 3 % of what windows leave."""
+    left = {((FIRST,), False): 500.0, ((OTHER,), False): 900.0, ((FIRST, OTHER), False): 300.0}
+    for have, deviance in (left | {((FIRST,), True): 500.0, ((OTHER,), True): 310.0}).items():
+        monkeypatch.setitem(LEFT, have, deviance)
+
+    def immaterial(self: Table, before: State, after: State) -> str | None:
+        return "removes too little" if 1.0 - after.deviance / before.deviance < least else None
+
+    monkeypatch.setattr(Table, "immaterial", immaterial)
+    table = Table()
+    table.exact = False
+    search = Search(table, (FIRST, OTHER), lambda text: None)
+    assert search.run(search.declared(Model(()), False)).names == names

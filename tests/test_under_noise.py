@@ -10,6 +10,7 @@ from bench_data import suite, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.movement import at_rest, movement, standing
+from fiohost.discover.refit import Job, LogsBeside, ranked
 from fiohost.discover.result import to_json
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.weighed import WeighedWindows
@@ -257,3 +258,16 @@ def test_a_threshold_that_its_own_noise_hides_is_searched_in_windows_as_they_are
     assert found.noise.torque_pct.value < 0.02
     assert abs(found.fit.model.number("static_friction.extra_pct") - 2.1) < 0.3
     assert found.deviance < wrong.deviance - 1000.0
+
+
+def test_what_is_carried_to_its_minimum_begins_under_noise_and_in_windows_as_they_are() -> None:
+    """Whichever of the two showed that it is worth one: where friction turns, the two lead to different minima."""
+    windows = WeighedWindows([to_and_fro(3)])
+    state = windows.settled(fit(truth_model(("coulomb_friction",)), windows.records, windows=True))
+    beside = LogsBeside(windows, state)
+    beside.ranked = [ranked(screen, [effect(name) for name in LIBRARY[1:]], False) for screen in beside.screens]
+    shown = Job(next(s for s in beside.ranked[1] if s.trials), beside.screens[1].fit, beside.screens[1].records)
+    jobs, rough = beside.by_every_screen(*beside.rough([shown], np.inf), np.inf)
+    assert [job.name for job in jobs] == [shown.name] * 2
+    assert [job.records is screen.records for job, screen in zip(jobs, beside.screens[::-1], strict=True)] == [True] * 2
+    assert all(f.cost < job.base.cost for job, f in zip(jobs, rough, strict=True))

@@ -117,6 +117,7 @@ class LogsBeside:
             left = min(rough, key=lambda f: f.cost)
             if left.rms > s.lost * floor and left.cost * s.hopeless > first.fit.cost:
                 return []  # else it is most of what is missing
+        jobs, rough = self.by_every_screen(jobs, rough, floor)
         best = self.carried(jobs, rough, floor, rival)
         states = [(self.state, []), *((state, [name]) for name, (_, state) in best.items())]
         if (
@@ -299,6 +300,24 @@ class LogsBeside:
             return _bare(min(found, key=lambda f: f.cost))
 
         return each(go_on, range(len(jobs)))
+
+    def by_every_screen(
+        self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float
+    ) -> tuple[Sequence[Job], Sequence[Fit]]:
+        """Jobs and rough fits, those that are to be carried on begun beside every screen: under noise a fit comes to
+        other minima than in windows as they are, whichever of the two showed that it is worth one.
+        """
+        if len(self.screens) < 2:
+            return jobs, rough
+        carried = {jobs[i].name for ways in self.finalists(jobs, rough) for i in ways}
+        begun = {(job.name, id(job.records)) for job in jobs}
+        others = [
+            Job(score, screen.fit, screen.records)
+            for screen, scores in zip(self.screens, self.ranked, strict=True)
+            for score in scores
+            if score.trials and score.effect.name in carried and (score.effect.name, id(screen.records)) not in begun
+        ]
+        return [*jobs, *others], [*rough, *self._some_rough(others, floor, None, rough)]
 
     def finalists(self, jobs: Sequence[Job], rough: Sequence[Fit]) -> list[list[int]]:
         """Which are carried to their minimum: of each name the best of each screen."""

@@ -107,28 +107,45 @@ class Search(Generic[J]):
 
     def exchanged(self, best: Node, *, root: Node | None = None) -> Node:
         """A structure with each of its names but the last asked for again beside the others: it was chosen while they
-        were missing. The last too, where other evidence chose it: alone it is asked for from the ``root``. Beside what
-        an exact fit does not follow nothing can be told by it, nor by windows what whole runs are to be asked.
+        were missing, and stays only where it is believed beside them. The last too, where other evidence chose it:
+        alone it is asked for from the ``root``. Beside what an exact fit does not follow nothing can be told by it, nor
+        by windows what whole runs are to be asked.
         """
         if (self.evidence.exact and not self.explains(best)) or self.enough(best):
             return best
-        for earlier in best.added if root else best.added[:-1]:
-            if earlier not in best.added:
-                continue
-            name = earlier.child.name
-            self.say(f"{name}, asked for again beside the others")
-            others = tuple(a for a in best.added if a is not earlier)
-            # What is fitted without a name that was mistaken keeps to where that had led.
-            rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
-            told = self.told
-            led_to = None if self.explains(best) else self.in_its_place(best, earlier)
-            first = self.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), best])[0]
-            self.told = told
-            itself = first.added[-1].child.name == name and len(first.added) >= len(best.added)
-            if first is not best and not itself and (self.explains(first) or not self.explains(best)):
-                self.say(f"{first.added[-1].child.name} takes its place")
-                best = first
+        asked: set[tuple[str, frozenset[str]]] = set()
+
+        def not_asked() -> Added | None:
+            names = best.added if root else best.added[:-1]
+            return next((a for a in names if (a.child.name, best.names) not in asked), None)
+
+        while earlier := not_asked():
+            asked.add((earlier.child.name, best.names))
+            best = self.asked_again(best, earlier, root)
         return best
+
+    def asked_again(self, best: Node, earlier: Added, root: Node | None) -> Node:
+        """A structure in which one of its names is asked for again beside the others."""
+        name, explained = earlier.child.name, self.explains(best)
+        self.say(f"{name}, asked for again beside the others")
+        others = tuple(a for a in best.added if a is not earlier)
+        # What is fitted without a name that was mistaken keeps to where that had led.
+        rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
+        if (was := self.known.get(rest.names)) and was.node.price < rest.price:
+            rest = was.node
+        again = Child(earlier.child.effect, best.state, rest.state.deviance - best.state.deviance)
+        doubted = not explained and self.objection(rest, again, Null(earlier.level, {}, ())) is not None
+        stays, told = rest if doubted else best, self.told
+        led_to = None if explained else self.in_its_place(best, earlier)
+        first = self.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
+        self.told = told
+        itself = first.added[-1:] and first.added[-1].child.name == name and len(first.added) >= len(best.added)
+        if first is stays or (itself and not doubted) or (explained and not self.explains(first)):
+            if doubted:
+                self.say(f"{name} is no longer needed")
+            return stays
+        self.say(f"{first.added[-1].child.name} takes its place")
+        return first
 
     def best_first(self, items: Sequence[Ranked]) -> list[Ranked]:
         """Nodes or children by price; the simplest, then the commonest of those that are as good as the best one."""
