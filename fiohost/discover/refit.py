@@ -301,14 +301,12 @@ class LogsBeside:
 
         return each(go_on, range(len(jobs)))
 
-    def by_every_screen(
-        self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float
-    ) -> tuple[Sequence[Job], Sequence[Fit]]:
+    def by_every_screen(self, jobs: Sequence[Job], rough: Sequence[Fit], floor: float) -> tuple[list[Job], list[Fit]]:
         """Jobs and rough fits, those that are to be carried on begun beside every screen: under noise a fit comes to
         other minima than in windows as they are, whichever of the two showed that it is worth one.
         """
         if len(self.screens) < 2:
-            return jobs, rough
+            return list(jobs), list(rough)
         carried = {jobs[i].name for ways in self.finalists(jobs, rough) for i in ways}
         begun = {(job.name, id(job.records)) for job in jobs}
         others = [

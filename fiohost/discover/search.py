@@ -10,20 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import Generic
 
 import numpy as np
 
+from fiohost.discover.belief import Belief
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, J, State
 from fiohost.discover.nodes import Added, Child, Expanded, Node
 from fiohost.discover.null import Null
 from fiohost.discover.step import Found, Step, named_with
-from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
 from fiohost.workers import each
-
-Ranked = TypeVar("Ranked", Node, Child)
 
 
 class Search(Generic[J]):
@@ -42,14 +40,11 @@ class Search(Generic[J]):
         in_vain: Callable[[Node], bool] = lambda node: False,
     ) -> None:
         self.evidence, self.library, self.say, self.tolerance_pct = evidence, library, say, tolerance_pct
+        self.belief = Belief(evidence)
         self.enough, self.in_vain = enough, in_vain
         self.settings = evidence.settings
         self.told: list[Candidate] = []
         self.known: dict[frozenset[str], Expanded] = {}
-
-    def stage(self, node: Node) -> J:
-        """A node judged on all data."""
-        return self.evidence.stage(node.state)
 
     def declared(self, model: Model, from_file: bool) -> Node:
         """Where every search begins: the declared model fitted."""
@@ -59,7 +54,7 @@ class Search(Generic[J]):
         """The best structure that the data speak for, with so many effects at most."""
         beam, best, most = [root], root, most or self.settings.most_effects
         while len(best.added) < most and not (self.explains(best) or self.in_vain(best)):
-            beam = self.best_first(self.next_ones(beam))
+            beam = self.belief.best_first(self.next_ones(beam))
             # Beside more names than most motors lack, the best structure alone is carried on.
             several = beam and len(beam[0].added) < self.settings.most_before_windows
             beam = beam[: self.settings.beam if several else 1]
@@ -83,8 +78,10 @@ class Search(Generic[J]):
         others = tuple(a for a in node.added if a is not named)
         before = named.before if named is node.added[-1] else Node(e.without(node.state, was), others)
         null = Null(named.level, {}, ())
-        for child in self.best_first([replace(c, gain=before.state.deviance - c.state.deviance) for c in better]):
-            if self.objection(before, child, null) is None:
+        for child in self.belief.best_first(
+            [replace(c, gain=before.state.deviance - c.state.deviance) for c in better]
+        ):
+            if self.belief.objection(before, child, null) is None:
                 grown = self.grown(before, child, [child], named.level)
                 return grown if grown.price < node.price else None
         return None
@@ -134,10 +131,10 @@ class Search(Generic[J]):
         if (was := self.known.get(rest.names)) and was.node.price < rest.price:
             rest = was.node
         again = Child(earlier.child.effect, best.state, rest.state.deviance - best.state.deviance)
-        doubted = not explained and self.objection(rest, again, Null(earlier.level, {}, ())) is not None
+        doubted = not explained and self.belief.objection(rest, again, Null(earlier.level, {}, ())) is not None
         stays, told = rest if doubted else best, self.told
         led_to = None if explained else self.in_its_place(best, earlier)
-        first = self.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
+        first = self.belief.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
         self.told = told
         itself = first.added[-1:] and first.added[-1].child.name == name and len(first.added) >= len(best.added)
         if first is stays or (itself and not doubted) or (explained and not self.explains(first)):
@@ -147,25 +144,15 @@ class Search(Generic[J]):
         self.say(f"{first.added[-1].child.name} takes its place")
         return first
 
-    def best_first(self, items: Sequence[Ranked]) -> list[Ranked]:
-        """Nodes or children by price; the simplest, then the commonest of those that are as good as the best one."""
-        order: list[Ranked] = sorted(items, key=lambda i: i.price)
-        if order:
-            least = min(order, key=lambda i: i.state.deviance)
-            equal = [i for i in order if self.evidence.as_good(i.state, least.state)]
-            if equal:
-                order.insert(0, order.pop(order.index(min(equal, key=lambda i: i.simplicity))))
-        return order
-
     def explains(self, node: Node) -> bool:
         """Whether a node follows the data, or what is left does not matter to the user; of noise only the null says
         when to stop.
         """
-        if self.tolerance_pct > 0.0 and self.stage(node).left_pct <= self.tolerance_pct:
+        if self.tolerance_pct > 0.0 and self.belief.stage(node).left_pct <= self.tolerance_pct:
             return True
         if node.added and self.enough(node):
             return True
-        return self.evidence.exact and self.stage(node).follows
+        return self.evidence.exact and self.belief.stage(node).follows
 
     def white(self, node: Node) -> bool:
         """Whether what a node leaves is noise."""
@@ -189,11 +176,11 @@ class Search(Generic[J]):
         if not children:
             node.far = True
             return
-        null = beside.null(children[0].state, lambda null: not any(self.close(c, null) for c in children))
-        whys = each(lambda c: self.objection(node, c, null), children)
-        accepted = self.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
-        beyond = [c for c in children if c.gain > self.asked(c, null)] if not accepted else []
-        node.lacks = any(self.surely(node, c) for c in beyond)
+        null = beside.null(children[0].state, lambda null: not any(self.belief.close(c, null) for c in children))
+        whys = each(lambda c: self.belief.objection(node, c, null), children)
+        accepted = self.belief.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
+        beyond = [c for c in children if c.gain > self.belief.asked(c, null)] if not accepted else []
+        node.lacks = any(self.belief.surely(node, c) for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
@@ -226,78 +213,6 @@ class Search(Generic[J]):
         """Forget what was found beside nodes that no candidate came near the data from."""
         self.known = {names: was for names, was in self.known.items() if not was.node.far}
 
-    def surely(self, node: Node, child: Child) -> bool:
-        """Whether left-out data gain by a candidate what is worth a name, be it this one or another."""
-        e = self.evidence
-        return e.immaterial(node.state, child.state) is None and e.gain(node.state, child.state).sure(self.settings)
-
-    def close(self, child: Child, null: Null) -> bool:
-        """Whether a null of few samples may be wrong about a candidate."""
-        asked, factor = self.asked(child, null), self.settings.plainly_told
-        return asked / factor < child.gain < factor * asked
-
-    def margin(self, of: Effect) -> float:
-        """How many times what chance reaches an effect has to gain; what every drive has is no surprise."""
-        return self.settings.margin if of.everywhere else self.evidence.margin
-
-    def asked(self, child: Child, null: Null) -> float:
-        """The deviance that a candidate has to gain."""
-        return self.margin(child.effect) * null.of(child.name)
-
-    def objection(self, node: Node, child: Child, null: Null) -> str | None:
-        """Why a candidate is not believed, or None."""
-        s, e, of, after = self.settings, self.evidence, child.effect, child.state
-        left = after.fit.rms / self.stage(node).floor_rms if e.exact else np.inf
-        finished = left <= s.finished
-        if e.exact and of.once and left > s.lost:
-            return f"an event that happened once and leaves {left:.2f} times the floor cannot be confirmed"
-        if child.gain < self.asked(child, null) and not finished:
-            return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.of(child.name):.0f}"
-        if node.added and (why := e.immaterial(node.state, after)):
-            return why
-        names = [child.name, *node.names]
-        if not of.once and e.plainly(node.state, after, names):  # no other record can confirm an event
-            return None
-        if why := e.degenerate(after, names):
-            return why
-        if e.exact and node.added:
-            above = 1.0 - (left**2 - 1.0) / max((node.state.fit.rms / self.stage(node).floor_rms) ** 2 - 1.0, 1e-12)
-            if above < s.least_of_rest:
-                return f"removes {100 * max(above, 0.0):.0f} % of what still stands above the floor"
-        if not (of.shown or of.once) and (why := e.unconfirmed(node.state, after, child.name)):
-            return why
-        if e.exact and of.once:
-            return None  # no other record can confirm it: it leads on, and is believed where whole runs are followed
-        gain = e.gain(node.state, after)
-        if not gain.sure(s):
-            return f"gains {gain.total:.0f} of deviance on left-out training data, give or take {gain.error:.0f}"
-        if not of.shown and gain.by_one:
-            return "is carried by one stretch of 2 s"
-        return None
-
-    def in_order(self, accepted: Sequence[Child]) -> list[Child]:
-        """Candidates, the best first; those of an exact fit that are near it are carried to their minimum before."""
-        if self.evidence.exact:
-            least = min((c.state.fit.cost for c in accepted), default=0.0)
-            near = [c for c in accepted if c.state.fit.cost <= 1.1 * least]
-            if len(near) > 1:  # the last digits decide between them
-                accepted = [self._polished(c) if c in near else c for c in accepted]
-        return self.best_first(accepted)
-
-    def _polished(self, child: Child) -> Child:
-        state = self.evidence.polished(child.state)
-        return Child(child.effect, state, child.gain + child.state.deviance - state.deviance)
-
-    def rivals(self, child: Child, accepted: Sequence[Child]) -> dict[str, Model]:
-        """Those that left-out data cannot tell from a candidate."""
-        found: dict[str, Model] = {}
-        for other in (c for c in accepted if c.name != child.name):
-            near = self.evidence.as_good(other.state, child.state)
-            shares = other.gain >= self.settings.shared_gain * child.gain
-            if near or (shares and not self.evidence.gain(other.state, child.state).sure(self.settings)):
-                found[other.name] = other.state.fit.model
-        return found
-
     def grown(self, node: Node, child: Child, accepted: Sequence[Child], level: float) -> Node:
         """A node with a candidate added, its fit finished, what it no longer needs dropped."""
         self.say(f"adding {child.name}")
@@ -308,7 +223,7 @@ class Search(Generic[J]):
 
     def needed(self, state: State, node: Node) -> tuple[State, list[str]]:
         """A state without those of a node's effects that the deviance does not ask for any more, and which."""
-        asks, dropped = {a.child.name: self.margin(a.child.effect) * a.level for a in node.added}, []
+        asks, dropped = {a.child.name: self.belief.margin(a.child.effect) * a.level for a in node.added}, []
         for name in [e for e in state.fit.model.effects if e in asks]:
             less = self.evidence.without(state, name)
             asked = max(asks[name], self.settings.equal_deviance)
@@ -320,8 +235,8 @@ class Search(Generic[J]):
 
     def found(self, root: Node, node: Node) -> Found[J]:
         """What the search came to: every name with its stage, its evidence and what these data cannot tell from it."""
-        stages = (self.stage(root), self.stage(node)) if node.added else (self.stage(root),)
-        steps = tuple(a.by.step(a, self.stage(node) if a is node.added[-1] else None) for a in node.added)
+        stages = tuple(self.belief.stage(n) for n in ((root, node) if node.added else (root,)))
+        steps = tuple(a.by.step(a, self.belief.stage(node) if a is node.added[-1] else None) for a in node.added)
         return Found(stages, steps, tuple(self.told), noise=node.state.noise)
 
     def step(self, added: Added, final: J | None) -> Step[J]:
@@ -335,6 +250,6 @@ class Search(Generic[J]):
             "deviance_by_chance": added.level,
             "missing_torque_follows": self.evidence.follows(before.state),
         }
-        rivals = self.rivals(child, added.accepted)
-        after = final or self.stage(added.after or before)
+        rivals = self.belief.rivals(child, added.accepted)
+        after = final or self.belief.stage(added.after or before)
         return Step(child.name, after, evidence, named_with(child.name, rivals), rivals)

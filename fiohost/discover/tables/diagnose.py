@@ -214,7 +214,7 @@ def diagnose_tables(
         say(f"fitting {model.expression} to {len(rows)} rows, {rows.samples} figures")
         search = Search(readings, library, say)
         root = search.declared(model, from_file)
-        stage = search.stage(root)
+        stage = search.belief.stage(root)
         why_not = readings.too_few(stage.fit)
         if why_not is None and not stage.follows and stage.left_out is None:
             why_not = (

@@ -7,8 +7,8 @@ from math import sqrt
 
 import numpy as np
 
+from fiohost.discover.belief import Belief
 from fiohost.discover.nodes import Child, Node
-from fiohost.discover.search import Search
 from fiohost.discover.tables.fit import TableFit, without_row
 from fiohost.discover.tables.objective import Readings, not_shown
 from fiohost.errors import ConfigError
@@ -44,7 +44,7 @@ def worth(readings: Readings, node: Node, name: str) -> Worth:
         return Worth(name, None, stage.fit.rms, stage.left_out_rms, "leaves no trace in these figures")
     state = found[0][1]
     child = Child(item, state, node.state.deviance - state.deviance)
-    why = Search(readings, [name], lambda text: None).objection(node, child, beside.null(state))
+    why = Belief(readings).objection(node, child, beside.null(state))
     fitted = readings.fitted(state)
     return Worth(name, fitted, fitted.rms, left_out_rms(readings, fitted), why)
 
