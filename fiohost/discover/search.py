@@ -136,13 +136,15 @@ class Search(Generic[J]):
         led_to = None if explained else self.in_its_place(best, earlier)
         first = self.belief.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
         self.told = told
-        itself = first.added[-1:] and first.added[-1].child.name == name and len(first.added) >= len(best.added)
-        if first is stays or (itself and not doubted) or (explained and not self.explains(first)):
-            if doubted:
-                self.say(f"{name} is no longer needed")
-            return stays
-        self.say(f"{first.added[-1].child.name} takes its place")
-        return first
+        if first is not stays:
+            last = first.added[-1].child.name
+            itself = last == name and len(first.added) >= len(best.added)
+            if (doubted or not itself) and (not explained or self.explains(first)):
+                self.say(f"{last} takes its place")
+                return first
+        if doubted:
+            self.say(f"{name} is no longer needed")
+        return stays
 
     def explains(self, node: Node) -> bool:
         """Whether a node follows the data, or what is left does not matter to the user; of noise only the null says
