@@ -131,7 +131,10 @@ class Search(Generic[J]):
         if (was := self.known.get(rest.names)) and was.node.price < rest.price:
             rest = was.node
         again = Child(earlier.child.effect, best.state, rest.state.deviance - best.state.deviance)
-        doubted = not explained and self.belief.objection(rest, again, Null(earlier.level, {}, ())) is not None
+        # Of all names the one that gains most beside the others is asked for as if it were the first.
+        most = max((a.child.gain for a in others), default=0.0)
+        asked_of = Node(rest.state) if again.gain >= most else rest
+        doubted = not explained and self.belief.objection(asked_of, again, Null(earlier.level, {}, ())) is not None
         stays, told = rest if doubted else best, self.told
         led_to = None if explained else self.in_its_place(best, earlier)
         first = self.belief.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
