@@ -128,14 +128,8 @@ class Search(Generic[J]):
         others = tuple(a for a in best.added if a is not earlier)
         # What is fitted without a name that was mistaken keeps to where that had led.
         rest = Node(self.evidence.without(best.state, name), others) if others or root is None else root
-        if (was := self.known.get(rest.names)) and was.node.price < rest.price:
-            rest = was.node
-        again = Child(earlier.child.effect, best.state, rest.state.deviance - best.state.deviance)
-        # Of all names the one that gains most beside the others is asked for as if it were the first.
-        most = max((a.child.gain for a in others), default=0.0)
-        asked_of = Node(rest.state) if again.gain >= most else rest
-        doubted = not explained and self.belief.objection(asked_of, again, Null(earlier.level, {}, ())) is not None
-        stays, told = rest if doubted else best, self.told
+        doubted = None if explained else self.doubted(best, earlier, rest)
+        stays, told = doubted or best, self.told
         led_to = None if explained else self.in_its_place(best, earlier)
         first = self.belief.best_first([*self.next_ones([rest], rival=best), *([led_to] if led_to else []), stays])[0]
         self.told = told
@@ -148,6 +142,17 @@ class Search(Generic[J]):
         if doubted:
             self.say(f"{name} is no longer needed")
         return stays
+
+    def doubted(self, node: Node, named: Added, rest: Node) -> Node | None:
+        """The ``rest`` of a node without one of its names, where that would not be believed beside it; else None. Of
+        all names the one that gains most beside the others is asked for as if it were the first.
+        """
+        was = self.known.get(rest.names)
+        rest = min([rest, *([was.node] if was else [])], key=lambda n: n.price)
+        child = Child(named.child.effect, node.state, rest.state.deviance - node.state.deviance)
+        most = max((a.child.gain for a in node.added if a is not named), default=0.0)
+        beside = Node(rest.state) if child.gain >= most else rest
+        return rest if self.belief.objection(beside, child, Null(named.level, {}, ())) else None
 
     def explains(self, node: Node) -> bool:
         """Whether a node follows the data, or what is left does not matter to the user; of noise only the null says
