@@ -99,11 +99,13 @@ class Belief(Generic[J]):
         return Child(child.effect, state, child.gain + child.state.deviance - state.deviance)
 
     def rivals(self, child: Child, accepted: Sequence[Child]) -> dict[str, Model]:
-        """Those that left-out data cannot tell from a candidate."""
-        found: dict[str, Model] = {}
+        """Those that left-out data cannot tell from a candidate, however noise is weighed."""
+        e, found = self.evidence, dict[str, Model]()
         for other in (c for c in accepted if c.name != child.name):
-            near = self.evidence.as_good(other.state, child.state)
+            told_apart = e.gain(other.state, child.state).sure(self.settings) or e.plainly(
+                other.state, child.state, [child.name]
+            )
             shares = other.gain >= self.settings.shared_gain * child.gain
-            if near or (shares and not self.evidence.gain(other.state, child.state).sure(self.settings)):
+            if e.as_good(other.state, child.state) or (shares and not told_apart):
                 found[other.name] = other.state.fit.model
         return found
