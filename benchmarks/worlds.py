@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from discovery import run
 from discovery_cases import EFFECTS
-from discovery_run import Row
+from discovery_run import Row, same
 from rows import filled, programs, read
 from worlds_logs import WORLDS
 from worlds_run import WorldTask, ask_oracle, drawable, right, rightly_judged, run_world
@@ -35,6 +35,8 @@ from worlds_run import WorldTask, ask_oracle, drawable, right, rightly_judged, r
 Test = Callable[[Row], bool]
 # Rows of the same plan by the program that judged by counts alone.
 BEFORE = Path(__file__).parent / "results" / "worlds_before.jsonl"
+# The row of the table for all of them together.
+ALL = "all worlds"
 # Interval coverage counts parameters whose truth is a plain number.
 NOT_COUNTED = (".order", ".levels", "time_s", ".side", ".which")
 
@@ -116,22 +118,29 @@ def seen(row: Row) -> bool:
     return oracle is None or oracle["gain"] >= 3.0 * oracle["chance"]
 
 
+def others_named(row: Row) -> bool:
+    """Whether something is named that is not there, beside what is."""
+    return any(not any(same(name, t) for t in row["truth"]) for name in row["named"])
+
+
 def table(rows: Sequence[Row]) -> str:
-    """Rates by world as Markdown, and every case that went wrong."""
+    """Rates by world and of all as Markdown, and every case that went wrong."""
     drawn = [r for r in rows if r.get("drawn")]
-    lines = [
-        "| world | false claims | first name right | verdict right | intervals | noise's intervals | CPU s |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for name in (w.name for w in WORLDS):
-        part = [r for r in drawn if r["world"] == name]
+    head = (
+        "world", "false claims", "first name right", "others named beside", "verdict right", "intervals",
+        "noise's intervals", "CPU s",
+    )  # fmt: skip
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for name in (*(w.name for w in WORLDS), ALL):
+        part = [r for r in drawn if name in (r["world"], ALL)]
         if not part:
             continue
         none, clear = [r for r in part if not r["truth"]], [r for r in part if r["truth"] and seen(r)]
         cpu = sorted(r["cpu_s"] for r in part)
         cells = [
             name, counted(none, lambda r: bool(r["named"])), counted(clear, right),
-            counted([*none, *clear], rightly_judged), covered(part), noise_covered(part), f"{cpu[len(cpu) // 2]:.0f}",
+            counted([r for r in clear if right(r)], others_named), counted([*none, *clear], rightly_judged),
+            covered(part), noise_covered(part), f"{cpu[len(cpu) // 2]:.0f}",
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     wrong = [
