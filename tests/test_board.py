@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import PACKAGES
 
 from firmware_model import Board, Instruments, load_plant, plant_names
 from firmware_model.layout import CURRENT, LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
@@ -270,7 +271,7 @@ def test_forward_then_back_returns_the_count(duty: float, steps: int) -> None:
 
 def test_importing_the_package_is_cheap() -> None:
     code = "import sys, firmware_model; assert 'numpy' not in sys.modules and 'numba' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGES)
 
 
 def test_the_board_never_imports_the_host() -> None:
@@ -278,7 +279,7 @@ def test_the_board_never_imports_the_host() -> None:
         "import sys, firmware_model as f; f.Board(f.load_plant('default')).step(None); f.draw(1); f.reveal(1);"
         "assert not any(m.split('.')[0] == 'fiohost' for m in sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=PACKAGES)
 
 
 def test_every_shipped_plant_makes_a_board() -> None:

@@ -25,10 +25,7 @@ from fiohost.motor.effect import effect
 SECONDS = 4.0
 FIT = range(10, 101, 20)
 JUDGE = range(15, 96, 20)
-LIBRARY = (
-    "coulomb_friction", "input_deadband", "constant_load", "transport_delay", "voltage_saturation", "gravity_load",
-    "backlash", "shaft_angle_error",
-)  # fmt: skip
+LIBRARY = ("coulomb_friction", "input_deadband", "constant_load", "transport_delay", "shaft_angle_error")
 
 
 @pytest.fixture(scope="module")
