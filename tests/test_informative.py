@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_data import measure, truth_model
+from bench_data import measure, multisine, truth_model
 from short_runs import SUITE, closed_loop, logs_of
 
 from fiohost.bench.experiment import Experiment
@@ -61,6 +61,14 @@ def test_the_full_suite_can_show_everything(tmp_path: Path) -> None:
     assert found.limits == ()
     assert found.exercised.levels >= 8
     assert 5.0 < (found.exercised.useful_hz or 0.0) < 60.0
+
+
+def test_a_limit_that_gentle_commands_meet_is_not_hidden_by_their_size() -> None:
+    limited = truth_model(("coulomb_friction", "voltage_saturation"), {"voltage_saturation.limit_pct": 39.0})
+    rng = np.random.default_rng(4)
+    found = inform([measure(limited, multisine(12.0, rng, 70.0), rng)], [Said()])
+    assert found.exercised.duty_max_pct < 75.0
+    assert "voltage_saturation" not in hidden(found)
 
 
 def test_movement_is_counted_as_it_was_made() -> None:

@@ -10,12 +10,14 @@ from fiohost.checks.informative import (
     FEW_LEVELS,
     FEW_REVERSALS,
     FEW_STARTS,
-    HIGH_DUTY_PCT,
     LEAST_BRAKING_S,
     LEAST_SLOW_S,
     LOW_BAND_HZ,
     SLOW_S,
 )
+
+# What saturates does so near full duty first.
+HIGH_DUTY_PCT = 90.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from fiohost.motor.effect import effects
 
 # What it takes to show an effect: few events may be chance, and a slow effect needs its time.
 FEW_REVERSALS, FEW_STARTS, FEW_LEVELS, FEW_TURNS = 3, 3, 4, 1.0
-HIGH_DUTY_PCT, LARGE_STEP_PCT, FINE_LEVELS = 90.0, 50.0, 20
+LARGE_STEP_PCT, FINE_LEVELS = 50.0, 20
 LOW_BAND_HZ, SLOW_S = 3.0, 30.0
 LEAST_SLOW_S, LEAST_BRAKING_S = 1.0, 0.2
 
@@ -84,11 +84,6 @@ CANNOT_SHOW: Sequence[Rule] = (
         TURNING,
         lambda d: d.turns is not None and d.turns < FEW_TURNS,
         lambda d: f"{d.turns or 0.0:.2g} turns are covered: what repeats with the turn does not repeat",
-    ),
-    (
-        ("voltage_saturation",),
-        lambda d: d.duty_max_pct < HIGH_DUTY_PCT,
-        lambda d: f"the command stays below {d.duty_max_pct:.3g} %: a limit above that is never met",
     ),
     (
         ("current_limit", "supply_sag"),
