@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fiohost.estimation.fit import Fit
-from fiohost.judging.floor import refitted
+from fiohost.judging.floor import Refits
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -20,7 +20,7 @@ def test_what_is_at_its_bound_stays_there_in_what_a_replica_would_be_fitted_to()
     noise = 0.1 * columns[:, 0] + 0.05 * columns[:, 1] + 0.5 * columns[:, 2]
     none = np.empty((400, 0))
     fitted = Fit(model, names, 1.0, (noise,), (columns,), (none,), (Start(0.0, 0.0),), True, 400.0)
-    again = refitted(fitted, [noise])
+    again = Refits(fitted).model([noise])
     assert again.number("backlash.load_inertia_ratio") == 0.0
     assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=1e-3)
     assert again.number("backlash.gap_deg") == pytest.approx(3.05, abs=1e-3)
@@ -36,6 +36,6 @@ def test_a_level_that_no_reading_hangs_on_stays_in_what_a_replica_would_be_fitte
     columns = np.random.default_rng(2).standard_normal((400, 2)) * [1.0, 1e-11]
     noise = 0.1 * columns[:, 0] + np.random.default_rng(3).standard_normal(400)
     fitted = Fit(model, names, 1.0, (noise,), (columns,), (np.empty((400, 0)),), (Start(0.0, 0.0),), True, 400.0)
-    again = refitted(fitted, [noise])
+    again = Refits(fitted).model([noise])
     assert again.number("static_friction.extra_pct") == 3.4
     assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=0.1)

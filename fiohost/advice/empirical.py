@@ -109,7 +109,7 @@ class _Evidence:
         self.residual = self.without_own(np.concatenate([j.window_residual for j in judgements]))
         self.power = float(self.residual @ self.residual)
         offsets = np.cumsum([0, *(len(r) for r in records)])
-        starts = [o + w.edges[:-1] for o, w in zip(offsets[:-1], self.windows, strict=True)]
+        starts = [o + r.windows[:-1] for o, r in zip(offsets[:-1], records, strict=True)]
         self.edges = np.concatenate(starts)
         self.cuts = offsets
         times = [r.excitation.times_s for r in records]

@@ -7,19 +7,16 @@ holds it against: from there on the data would not have been called complete.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fiohost.advice.grown import Grown, Log, Seen, largest, smallest
 from fiohost.advice.limit import Limit
-from fiohost.advice.windowed import Windowed
 from fiohost.discover.screen import Trial, candidates, span_of
-from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import ANGLE, Record
-from fiohost.judging.metrics import Judgement
+from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage
 from fiohost.motor.effect import Effect, Parameter, Value
 from fiohost.motor.model import Model
@@ -31,95 +28,8 @@ PHASES_DEG = (0.0, 60.0, 120.0)
 ORDERS = (1.0, 4.0, 12.0, 48.0)
 # Steps in size: so many, until so close, at most by such a factor, and by this one where nothing shows yet.
 ROUNDS, CLOSE, FARTHEST, GROWTH = 16, 0.1, 10.0, 1.7
-FACTORS = (1e-4, 1e4)
-HALVINGS = 14
 IMITATED = 1e-3
 MOST_SHAPES = 3
-
-
-class _Log:
-    """One record's residuals and the bounds of its figures, to which a signature (n) is added."""
-
-    def __init__(self, record: Record, judgement: Judgement, bounds: dict[str, float], lag_s: float) -> None:
-        self.record, self.bounds = record, {figure: bound for figure, bound in bounds.items() if bound > 0.0}
-        self.free, self.windows = judgement.free_residual, judgement.window_residual
-        self.first = record.first_second()
-        self.windowed = Windowed(record, lag_s)
-        self.weights = record.weights**2
-
-    def prepared(self, signature: np.ndarray) -> _Grown:
-        """A signature as it shows in the free run, begun with the first second, and in windows."""
-        free = signature - signature[: self.first].mean() if self.record.kind == ANGLE else signature
-        return _Grown(self, free, self.windowed.clean(free))
-
-
-class _Grown:
-    """The figures of a log over their bounds with a prepared signature (n in the free run, n in windows) added.
-
-    Those that are squares are polynomials of the factor on it; samples and windows are counted.
-    """
-
-    def __init__(self, log: _Log, free: np.ndarray, windows: np.ndarray) -> None:
-        self.log, self.free, self.windows = log, free, windows
-        weights = log.weights
-        self.weight = float(weights.sum())
-        self.means = np.array([weights @ log.free, weights @ free]) / self.weight
-        self.squares = _products(log.free, free, weights)
-        self.in_windows = _products(log.windows, windows, np.full(len(windows), 1.0 / len(windows)))
-
-    def over(self, factor: float, enough: float = np.inf) -> tuple[float, str]:
-        """The largest figure over its bound, and which it is; once one is beyond ``enough``, that one."""
-        found = (0.0, "")
-        for figure, of in self._figures.items():
-            if figure in self.log.bounds and found[0] <= enough:
-                found = max(found, (of(factor) / self.log.bounds[figure], figure))
-        return found
-
-    @cached_property
-    def _figures(self) -> dict[str, Callable[[float], float]]:
-        """What is found soonest comes first."""
-        return {
-            "free_run_rms": self._free_run_rms,
-            "window_rms": lambda f: float(np.sqrt(np.array([1.0, f, f * f]) @ self.in_windows)),
-            "bin_violation_pct": self._bin_violation_pct,
-            "wide_windows_pct": self._wide_windows_pct,
-        }
-
-    def _offset(self, factor: float) -> float:
-        """Where within its first count the angle is, as ``weigh`` has it."""
-        half, mean = 0.5 * self.log.record.quantum, float(self.means @ (1.0, factor))
-        return min(max(mean, -half), half) if self.log.record.kind == ANGLE else 0.0
-
-    def _free_run_rms(self, factor: float) -> float:
-        offset, mean = self._offset(factor), float(self.means @ (1.0, factor))
-        square = float(self.squares @ (1.0, factor, factor**2)) / self.weight
-        return float(np.sqrt(max(square - offset * (2.0 * mean - offset), 0.0)))
-
-    def _bin_violation_pct(self, factor: float) -> float:
-        log, half = self.log, 0.5 * self.log.record.quantum
-        error = np.abs(log.free + factor * self.free - self._offset(factor))
-        return 100.0 * float(log.weights @ (error > half)) / self.weight if half > 0.0 else 0.0
-
-    def _wide_windows_pct(self, factor: float) -> float:
-        record = self.log.record
-        spans = _spans(self.log.windows + factor * self.windows, record.windows[:-1])
-        return float(100.0 * np.mean(spans > SEARCH.floor.wide * record.quantum))
-
-
-def _products(base: np.ndarray, added: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The weighted sum of squares of ``base`` (n) with a factor times another (n) added: its polynomial (3)."""
-    return np.array([weights @ base**2, 2.0 * (weights @ (base * added)), weights @ added**2])
-
-
-def largest(grown: Sequence[_Grown], factor: float = 1.0) -> tuple[float, str, str]:
-    """Of a factor on a signature: the largest figure over its bound, its log and its name."""
-    found = [(g.over(factor), g.log.record.name) for g in grown]
-    return max((ratio, name, figure) for (ratio, figure), name in found)
-
-
-def _spans(series: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """How far a series (n) goes within each window that begins at ``edges`` (m)."""
-    return np.asarray(np.maximum.reduceat(series, edges) - np.minimum.reduceat(series, edges))
 
 
 class Limits:
@@ -135,7 +45,7 @@ class Limits:
         self.edges = np.cumsum([0, *(len(r) for r in records)])
         lag_s = self.model.number("linear.tau_s")
         self.logs = [
-            _Log(r, j, {e.figure: e.allowed for e in stage.excesses if e.record == r.name}, lag_s)
+            Log(r, j, {e.figure: e.allowed for e in stage.excesses if e.record == r.name}, lag_s)
             for r, j in zip(records, stage.judgements, strict=True)
         ]
 
@@ -156,25 +66,9 @@ class Limits:
         parts = [left[a:b] / r.weights for r, a, b in zip(self.records, self.edges[:-1], self.edges[1:], strict=True)]
         return parts, float(np.linalg.norm(left)) / raw if raw > 0 else 0.0
 
-    def prepared(self, parts: Sequence[np.ndarray]) -> list[_Grown]:
+    def grown(self, parts: Sequence[np.ndarray]) -> list[Grown]:
         """A signature (n each) as it shows in every log."""
-        return [log.prepared(p) for log, p in zip(self.logs, parts, strict=True)]
-
-    def factor(self, parts: Sequence[np.ndarray]) -> tuple[float, str, str]:
-        """The smallest factor by which a signature is seen, infinite where none is; with log and figure."""
-        grown = self.prepared(parts)
-
-        def seen(factor: float) -> bool:
-            return any(g.over(factor, 1.0)[0] > 1.0 for g in grown)
-
-        low, high = np.log(FACTORS)
-        if not seen(float(np.exp(high))):
-            return np.inf, "", ""
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if seen(float(np.exp(middle))) else (middle, high)
-        _, log, figure = largest(grown, float(np.exp(high)))
-        return float(np.exp(high)), log, figure
+        return [log.grown(p) for log, p in zip(self.logs, parts, strict=True)]
 
     def of(self, effect: Effect) -> list[Limit]:
         """The limits of one effect: one for each of its choices and orders."""
@@ -191,7 +85,7 @@ class Limits:
         base = self.outputs(self.model)
         for trial in trials:
             parts, _ = self.signature(self.model.with_effect(effect.name, trial), base)
-            ratio, log, figure = largest(self.prepared(parts))
+            ratio, log, figure = largest(self.grown(parts))
             if ratio > 1.0:
                 seen.append((ratio, trial, log, figure))
         if not seen or not first.whole:
@@ -213,12 +107,21 @@ class Limits:
         def distance(limit: Limit) -> float:
             return np.inf if limit.value is None else abs(limit.value - float(sizes[0].neutral or 0.0))
 
-        of_shape = [[self.sized(effect, sizes, t) for t in list(by_shape.values())[i]] for i in picked]
-        worst = sorted((max(found, key=distance) for found in of_shape), key=distance)
+        worst, reach = list[Limit](), 1.0
+        for alike in (list(by_shape.values())[i] for i in picked):
+            found = list[Limit]()
+            for trial in alike:
+                found.append(self.sized(effect, sizes, trial, reach))
+                # The next differs by its phase or its shape: its limit is not far.
+                share = distance(found[-1]) / abs(float(trial[sizes[0].name]) - float(sizes[0].neutral or 0.0))
+                reach = share if np.isfinite(share) else reach
+            worst.append(max(found, key=distance))
+        worst.sort(key=distance)
         return worst[(len(worst) - 1) // 2]
 
-    def sized(self, effect: Effect, sizes: Sequence[Parameter], trial: Trial) -> Limit:
-        """The smallest visible size of an effect whose other parameters are those of a trial.
+    def sized(self, effect: Effect, sizes: Sequence[Parameter], trial: Trial, reach: float = 1.0) -> Limit:
+        """The smallest visible size of an effect whose other parameters are those of a trial, looked for from a
+        multiple of the trial's.
 
         Several sizes grow together. Sizes in multiples of the trial's are narrowed down between the largest that is
         not seen and the smallest that is, by the factor that the signature of the last one lacks.
@@ -241,10 +144,10 @@ class Limits:
             shown = None if value is None else float(at(value)[first.name])
             return Limit(effect.name, first.name, first.unit, shown, none[first.name], rest, log, figure, reason)
 
-        reach, unseen, seen, left, log, figure = 1.0, 0.0, np.inf, 0.0, "", ""
+        reach, unseen, seen, left, log, figure = min(reach, most), 0.0, np.inf, 0.0, "", ""
         for _ in range(ROUNDS):
             parts, left = self.signature(self.with_sizes(model, effect, at(reach)), base)
-            factor, where, what = self.factor(parts) if left > 0 else (np.inf, "", "")
+            factor, where, what = smallest(self.grown(parts)) if left > 0 else Seen()
             if np.isfinite(factor):
                 log, figure = where, what
             unseen, seen = (max(unseen, reach), seen) if factor > 1.0 else (unseen, reach)

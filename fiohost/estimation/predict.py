@@ -267,7 +267,7 @@ class Begun:
 def windowed(
     record: Record, flat: Flat, start: Start, y: np.ndarray | None = None, near: Begun | None = None
 ) -> tuple[np.ndarray, Begun]:
-    """``in_windows`` of the free run from a start, whitened where the record's noise is known."""
+    """``window_residuals`` of the free run from a start, whitened where the noise is known, and where windows begin."""
     flat = of_run(record, flat, start)
     if near is None:
         residuals, begun = _from_bases(record, flat, window_states(record, flat, start), y)
@@ -301,16 +301,16 @@ def whitened(record: Record, series: np.ndarray) -> np.ndarray:
     return record.disturbance.whitened(series) if record.disturbance else series
 
 
-def window_residuals(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+def window_residuals(
+    record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None, near: Begun | None = None
+) -> np.ndarray:
     """Measured minus simulated (k) with angle and speed free in each one-second window, other states from
-    ``states``, ``flat`` being for the record's zero.
+    ``states``, ``flat`` being for the record's zero; found sooner from where windows begin ``near`` by.
     """
-    return in_windows(record, flat, states, y)[0]
-
-
-def in_windows(record: Record, flat: Flat, states: np.ndarray, y: np.ndarray | None = None) -> tuple[np.ndarray, Begun]:
-    """``window_residuals``, and where the windows begin."""
-    return _from_bases(record, flat, begin_windows(record, states), y)
+    bases = begin_windows(record, states)
+    if near is None:
+        return _from_bases(record, flat, bases, y)[0]
+    return _from_bases(record, flat, moved(bases, near.states[:, THETA], near.states[:, OMEGA]), y, near.columns)[0]
 
 
 def _from_bases(

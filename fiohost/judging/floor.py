@@ -15,7 +15,6 @@ from fiohost.estimation.repeats import repeats
 from fiohost.judging.metrics import Errors, Judgement, judge, pool
 from fiohost.judging.replica import Replicas, another_day
 from fiohost.judging.settings import FLOOR
-from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.workers import each
 
@@ -44,33 +43,37 @@ def _mean(draws: Sequence[Errors]) -> Errors:
     return replace(pooled, samples=draws[0].samples)
 
 
-def refitted(fitted: Fit, noises: Sequence[np.ndarray]) -> Model:
-    """The model that a fit to a replica would give, by one step: ``noises`` are the replica's residuals, one a record.
+class Refits:
+    """The models that fits to replicas of a fit's data would give, by one step of each.
 
     Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. What was
     searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is. So does
     a level that no reading hangs on: its derivative is that of rounding, which leads anywhere.
     """
-    parameters = [fitted.model.parameter(name) for name in fitted.names]
-    norms = np.linalg.norm(np.vstack(fitted.jacobians), axis=0)
-    least = FLOOR.seen * float(np.sqrt(sum(float(n @ n) for n in noises)))
-    followed = [
-        i
-        for i, (name, q, norm) in enumerate(zip(fitted.names, parameters, norms, strict=True))
-        if not q.is_searched and q.lower < fitted.model.number(name) < q.upper and (q.upper - q.lower) * norm > least
-    ]
-    if not followed:
-        return fitted.model
-    columns = [c[:, followed] for c in fitted.jacobians]
-    hessian = sum(c.T @ c for c in columns)
-    gradient = sum(c.T @ n for c, n in zip(columns, noises, strict=True))
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    step = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8) @ (gradient / scale) / scale
-    values: dict[str, Value] = {}
-    for i, change in zip(followed, step, strict=True):
-        name, parameter = fitted.names[i], parameters[i]
-        values[name] = float(np.clip(fitted.model.number(name) + change, parameter.lower, parameter.upper))
-    return fitted.model.with_values(values)
+
+    def __init__(self, fitted: Fit) -> None:
+        self.fitted = fitted
+        parameters = [fitted.model.parameter(name) for name in fitted.names]
+        self.lower, self.upper = np.array([(q.lower, q.upper) for q in parameters]).reshape(-1, 2).T
+        self.values = np.array([fitted.model.number(name) for name in fitted.names])
+        searched = np.array([q.is_searched for q in parameters], dtype=bool)
+        self.free = ~searched & (self.lower < self.values) & (self.values < self.upper)
+        self.hessian = np.sum([c.T @ c for c in fitted.jacobians], axis=0)
+
+    def model(self, noises: Sequence[np.ndarray]) -> Model:
+        """That of one replica, which leaves ``noises`` (n, one a record) of the fitted model."""
+        norms = np.sqrt(np.diag(self.hessian))
+        least = FLOOR.seen * float(np.sqrt(sum(float(n @ n) for n in noises)))
+        followed = np.flatnonzero(self.free & ((self.upper - self.lower) * norms > least))
+        if not len(followed):
+            return self.fitted.model
+        gradient = np.sum([c.T @ n for c, n in zip(self.fitted.jacobians, noises, strict=True)], axis=0)[followed]
+        scale = np.maximum(norms[followed], 1e-150)
+        scaled = self.hessian[np.ix_(followed, followed)] / np.outer(scale, scale)
+        moved = self.values[followed] + np.linalg.pinv(scaled, rcond=1e-8) @ (gradient / scale) / scale
+        inside = np.clip(moved, self.lower[followed], self.upper[followed])
+        names = [self.fitted.names[i] for i in followed]
+        return self.fitted.model.with_values(dict(zip(names, inside.tolist(), strict=True)))
 
 
 def replica_models(
@@ -86,7 +89,8 @@ def replica_models(
     ``anywhere`` lets the shaft stand anywhere within its count: how estimates scatter from one bench to the next.
     """
     replicas = replicas_of(fitted, records, anywhere=anywhere)
-    return [refitted(fitted, replica_errors(fitted, replicas, rng)) for _ in range(count)]
+    refits = Refits(fitted)
+    return [refits.model(replica_errors(fitted, replicas, rng)) for _ in range(count)]
 
 
 def replicas_of(fitted: Fit, records: Sequence[Record], *, anywhere: bool = False) -> list[Replicas]:
@@ -127,7 +131,7 @@ def replica_floor(
     def draw(judged_by: Model) -> Judgement:
         """One replica judged, without its arrays: of a long record, those of all would fill the memory."""
         (other,) = another_day([record], rng)
-        found = judge(record, judged_by, replicas.draw(rng, other), near=start)
+        found = judge(record, judged_by, replicas.draw(rng, other), near=start, begun=replicas.begun)
         return replace(found, simulated=none, free_residual=none, window_residual=none)
 
     draws = (*before, *(draw(m) for m in models))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fiohost.estimation.initial import initial_state
-from fiohost.estimation.predict import Flat, free_output, free_states, read, window_residuals
+from fiohost.estimation.predict import Begun, Flat, free_output, free_states, read, window_residuals
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.judging.settings import FLOOR
 from fiohost.motor.model import Model
@@ -97,8 +97,12 @@ def _wide_windows(record: Record, residual: np.ndarray) -> float | None:
     """
     if record.kind != ANGLE or record.quantum <= 0:
         return None
-    spans = [float(np.ptp(residual[a:b])) for a, b in zip(record.windows[:-1], record.windows[1:], strict=True)]
-    return 100.0 * float(np.mean(np.array(spans) > FLOOR.wide * record.quantum))
+    return 100.0 * float(np.mean(spans(residual, record.windows[:-1]) > FLOOR.wide * record.quantum))
+
+
+def spans(series: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """How far a series (n) goes within each window that begins at ``edges`` (m)."""
+    return np.asarray(np.maximum.reduceat(series, edges) - np.minimum.reduceat(series, edges))
 
 
 def judge(
@@ -108,8 +112,10 @@ def judge(
     *,
     near: Start | None = None,
     fitted: Start | None = None,
+    begun: Begun | None = None,
 ) -> Judgement:
-    """Judge a model on a record, or on other measurements ``y`` (n) of the same commands, begun ``near`` a start.
+    """Judge a model on a record, or on other measurements ``y`` (n) of the same commands, begun ``near`` a start and
+    its windows near where others were ``begun``.
 
     Where a load drifts in its gap the first second may not show: then as it was ``fitted`` to the whole run.
     """
@@ -123,7 +129,7 @@ def judge(
     states = free_states(record, flat, start)
     simulated = read(record, flat, states)
     free = data - simulated
-    windows = window_residuals(record, flat, states, data)
+    windows = window_residuals(record, flat, states, data, begun)
     return Judgement(
         errors=_figures(data, free, windows, record.quantum),
         start=start,

@@ -59,7 +59,7 @@ class Replicas:
         return free_output(self.record, self.flat, self.start)
 
     @cached_property
-    def _begun(self) -> Begun:
+    def begun(self) -> Begun:
         """Where windows of that output begin."""
         return windowed(self.record, self.flat, self.start, self.truth)[1]
 
@@ -89,7 +89,7 @@ class Replicas:
         """What the model leaves (n) of a draw as a fit weighs it, in whole or in one-second ``windows``."""
         record, y = day or self.record, self.draw(rng, day)
         if windows:
-            return windowed(record, self.flat, self.start, y, near=self._begun)[0]
+            return windowed(record, self.flat, self.start, y, near=self.begun)[0]
         return np.asarray(record.weights * (y - self.truth))
 
     def _shift(self, rng: np.random.Generator) -> float:
