@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Generic
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from fiohost.discover.evidence import Evidence, J, State
 from fiohost.discover.nodes import Added, Child, Expanded, Node
 from fiohost.discover.null import Null
 from fiohost.discover.step import Found, Step, named_with
+from fiohost.motor.effect import Effect
 from fiohost.motor.model import Model
 from fiohost.workers import each
 
@@ -45,6 +47,7 @@ class Search(Generic[J]):
         self.settings = evidence.settings
         self.told: list[Candidate] = []
         self.known: dict[frozenset[str], Expanded] = {}
+        self.replaced: WeakKeyDictionary[State, dict[str, list[tuple[Effect, State]]]] = WeakKeyDictionary()
 
     def declared(self, model: Model, from_file: bool) -> Node:
         """Where every search begins: the declared model fitted."""
@@ -71,7 +74,10 @@ class Search(Generic[J]):
         more; None where there is none.
         """
         e, was = self.evidence, named.child.name
-        found = [Child(of, state, 0.0) for of, state in e.in_place_of(node.state, was, self.library, self.say)]
+        of_node = self.replaced.setdefault(node.state, {})
+        if was not in of_node:  # the same node is met again where other effects are asked for beside the first
+            of_node[was] = e.in_place_of(node.state, was, self.library, self.say)
+        found = [Child(of, state, 0.0) for of, state in of_node[was]]
         better = [c for c in found if c.state.price < node.state.price]
         if not better:
             return None
