@@ -135,7 +135,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "coast_pwm": lambda r, m: {"pwm_Hz": spread(r, 200.0, 1000.0)},
     "duty_steps": lambda r, m: {
         "step_pct": r.choice((5.0, 10.0, 20.0, 25.0)),
-        "share": spread(r, 0.01, 0.4),
+        "share": sign(r) * spread(r, 0.01, 0.4),
         "rounding": r.choice(("cut", "nearest")),
     },
     "friction_over_position": lambda r, m: _curve(r, spread(r, 0.05, 0.7) * m["coulomb_Nm"]),

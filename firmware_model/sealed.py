@@ -126,7 +126,7 @@ EFFECTS: dict[str, Callable[[random.Random, Values], Values]] = {
     "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * _between(r, 0.01, 0.3)},
     "duty_steps": lambda r, m: {
         "step_pct": r.choice((5.0, 10.0, 20.0, 25.0)),
-        "share": _between(r, 0.03, 0.4),
+        "share": _sign(r) * _between(r, 0.03, 0.4),
         "rounding": r.choice(("cut", "nearest")),
     },
     "encoder_eccentricity": lambda r, m: {

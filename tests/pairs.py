@@ -111,7 +111,7 @@ DRAWS: Mapping[str, Callable[[random.Random, Values], Values]] = {
     "direction_dependent_gain": lambda r, m: {"ratio": 1.0 + _sign(r) * between(r, 0.01, 0.2)},
     "duty_curve": lambda r, m: {"exponent": 1.0 + _sign(r) * between(r, 0.02, 0.3)},
     "duty_steps": lambda r, m: {
-        "step_pct": r.choice((5.0, 12.5, 20.0, 33.0)), "share": between(r, 0.02, 0.5),
+        "step_pct": r.choice((5.0, 12.5, 20.0, 33.0)), "share": _sign(r) * between(r, 0.02, 0.5),
         "rounding": r.choice(("cut", "nearest", "up")),
     },
     "encoder_eccentricity": lambda r, m: {

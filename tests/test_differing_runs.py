@@ -45,7 +45,8 @@ def differing(seed: int, effect: str | None = None, value: dict[str, float | str
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosis:
-    return diagnose_records(differing(1), (), Model.parse("linear+coulomb_friction"))
+    library = ["constant_load", "gravity_load", "gain_warm_up", "direction_dependent_gain", "static_friction"]
+    return diagnose_records(differing(1), (), Model.parse("linear+coulomb_friction"), library=library)
 
 
 def test_how_runs_differ_is_neither_an_effect_nor_noise(nothing: Diagnosis) -> None:

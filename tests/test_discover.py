@@ -57,7 +57,7 @@ def test_a_missing_effect_is_named_and_measured(effect: str, values: dict[str, f
 
 
 def test_nothing_is_claimed_where_nothing_is_missing() -> None:
-    for seed in range(8):
+    for seed in range(5):
         found = diagnose_records(suite(truth_model(), 200 + seed), (), DECLARED)
         assert found.verdict == "no_missing_effect", seed
         ratio = np.sqrt(

@@ -10,7 +10,6 @@ import pytest
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, SPEED, make_record
-from fiohost.motor.effect import effects
 from fiohost.motor.electrics import coasting, follow
 from fiohost.motor.hooks import command, measure
 from fiohost.motor.model import Model
@@ -154,16 +153,6 @@ def test_gain_warms_to_its_level_with_its_time_constant(follows: str, goal: floa
 def test_a_share_of_the_duty_comes_in_steps(rounding: str, duty: float, acts: float) -> None:
     m = model("duty_steps", step_pct=20.0, share=0.2, rounding=rounding)
     assert command(duty, (5e-5,), m.vector(), m.switches()) == pytest.approx(acts, abs=1e-9)
-
-
-@pytest.mark.parametrize("rounding", ["cut", "nearest", "up"])
-def test_a_duty_in_steps_never_falls_where_the_command_rises(rounding: str) -> None:
-    share = next(p for p in effects()["duty_steps"].parameters if p.name == "share")
-    duties = np.linspace(-100.0, 100.0, 801)
-    for size in (share.lower, share.upper):
-        m = model("duty_steps", step_pct=12.5, share=size, rounding=rounding)
-        acts = [command(d, (5e-5,), m.vector(), m.switches()) for d in duties]
-        assert np.all(np.diff(acts) >= -1e-9)
 
 
 # ---- a bridge that coasts ------------------------------------------------------------------------------------------

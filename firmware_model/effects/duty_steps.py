@@ -24,7 +24,7 @@ EFFECT = Effect(
     equation="duty_eff = (1 - share) duty + share stair(duty), within 0..100 %",
     parameters=(
         Parameter("step_pct", lower=0.2, upper=60.0),
-        Parameter("share", lower=0.0, upper=0.9),
+        Parameter("share", lower=-0.9, upper=0.9),
         Parameter("rounding", default=0.0, choices=("cut", "nearest", "up")),
     ),
     source="Integer division in a motor controller",

@@ -62,7 +62,7 @@ SIZES: dict[str, dict[str, Any]] = {
     "coast_pwm": {"pwm_Hz": between(300.0, 2000.0)},
     "duty_steps": {
         "step_pct": between(3.0, 30.0),
-        "share": between(0.05, 0.6),
+        "share": either(0.05, 0.6),
         "rounding": lambda rng: str(rng.choice(("cut", "nearest", "up"))),
     },
     "fast_decay": {"diode_V": lambda rng: float(rng.uniform(0.0, 1.0))},

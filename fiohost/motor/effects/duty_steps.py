@@ -33,7 +33,7 @@ EFFECTS = (
         signature="the speed jumps a little at every step of the duty, and rises in proportion between",
         parameters=(
             Parameter("step_pct", "%", 10.0, 0.2, 60.0, neutral=None, step=1e-2, ragged=True),
-            Parameter("share", "", 0.2, 0.0, 0.9, step=1e-4),
+            Parameter("share", "", 0.2, -0.9, 0.9, step=1e-4),
             Parameter("rounding", "", "cut", neutral=None, choices=("cut", "nearest", "up")),
         ),
         trials=tuple(
