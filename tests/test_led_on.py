@@ -196,7 +196,7 @@ def test_what_comes_to_the_floor_and_leaves_no_noise_is_told_without_asking_for_
     monkeypatch.setattr(Ladder, "_by_weighed_windows", lambda self: asked_for_noise)
     monkeypatch.setattr(Ladder, "_noise_alone", lambda self, node: noise)
     model, rng = Model.parse("linear+coulomb_friction"), np.random.default_rng(0)
-    ladder = Ladder(suite(truth, 11, 12.0), model, ["quadratic_drag"], False, rng, lambda text: None, {}, 0.0)
+    ladder = Ladder(suite(truth, 11, 12.0), model, ["quadratic_drag"], False, rng, lambda text: None, (), (), 0.0)
     found = ladder.climbed()
     assert (found is asked_for_noise) is noise
     assert noise or [s.effect for s in found.steps] == ["quadratic_drag"]

@@ -23,11 +23,14 @@ LEAST_SLOW_S, LEAST_BRAKING_S = 1.0, 0.2
 
 @dataclass(frozen=True)
 class Limit:
-    """Effects that the data cannot show, or (``apart``) cannot tell from one another, and why."""
+    """Effects that the data cannot show, or (``apart``) cannot tell from one another, and why; they ``hardly`` show
+    where there is little of what shows them, and none of what would look like them.
+    """
 
     effects: tuple[str, ...]
     apart: bool
     why: str
+    hardly: bool = False
 
     def to_json(self) -> dict[str, object]:
         return {"effects": list(self.effects), "why": self.why}
@@ -54,26 +57,12 @@ def _times(count: int, what: str) -> str:
 
 Rule = tuple[tuple[str, ...], Callable[[Exercised], bool], Callable[[Exercised], str]]
 TURNING = ("gravity_load", "cogging_torque", "position_dependent_friction", "encoder_eccentricity")
+# What else there is looks like these.
 CANNOT_SHOW: Sequence[Rule] = (
-    (
-        ("backlash",),
-        lambda d: d.reversals < FEW_REVERSALS,
-        lambda d: f"{_times(d.reversals, 'reversal')}: play in the gears shows after the shaft turns back",
-    ),
     (
         ("asymmetric_coulomb_friction", "asymmetric_deadband", "direction_dependent_gain", "constant_load"),
         lambda d: not d.both_directions,
         lambda d: "one direction only: what differs by direction is taken for friction or gain",
-    ),
-    (
-        ("static_friction", "presliding_friction"),
-        lambda d: d.starts < FEW_STARTS,
-        lambda d: f"{_times(d.starts, 'start')} from standstill: break-away shows nowhere else",
-    ),
-    (
-        ("stribeck_friction",),
-        lambda d: d.slow_s < LEAST_SLOW_S,
-        lambda d: f"{d.slow_s:.1f} s of motion below a tenth of the top speed: friction of slow motion is not seen",
     ),
     (
         TURNING,
@@ -84,6 +73,24 @@ CANNOT_SHOW: Sequence[Rule] = (
         TURNING,
         lambda d: d.turns is not None and d.turns < FEW_TURNS,
         lambda d: f"{d.turns or 0.0:.2g} turns are covered: what repeats with the turn does not repeat",
+    ),
+)
+# Little shows these, but nothing else that there is need look like them.
+HARDLY_SHOW: Sequence[Rule] = (
+    (
+        ("backlash",),
+        lambda d: d.reversals < FEW_REVERSALS,
+        lambda d: f"{_times(d.reversals, 'reversal')}: play in the gears shows after the shaft turns back",
+    ),
+    (
+        ("static_friction", "presliding_friction"),
+        lambda d: d.starts < FEW_STARTS,
+        lambda d: f"{_times(d.starts, 'start')} from standstill: break-away shows nowhere else",
+    ),
+    (
+        ("stribeck_friction",),
+        lambda d: d.slow_s < LEAST_SLOW_S,
+        lambda d: f"{d.slow_s:.1f} s of motion below a tenth of the top speed: friction of slow motion is not seen",
     ),
     (
         ("current_limit", "supply_sag"),
@@ -145,12 +152,12 @@ def inform(records: Sequence[Record], said: Sequence[Said], declared: Sequence[s
     seen = exercise(records, said)
     known = effects()
     limits = []
-    for rules, apart in ((CANNOT_SHOW, False), (CANNOT_TELL, True)):
+    for rules, apart in ((CANNOT_SHOW, False), (HARDLY_SHOW, False), (CANNOT_TELL, True)):
         for names, lacks, why in rules:
             if lacks(seen):
                 # A rule may name what this version's library does not have.
                 some = tuple(n for n in names if n in known and (apart or n not in declared))
                 some = tuple(n for n in some if seen.rotary or not known[n].angle_bound)
                 if len(some) > (1 if apart else 0):
-                    limits.append(Limit(some, apart, why(seen)))
+                    limits.append(Limit(some, apart, why(seen), rules is HARDLY_SHOW))
     return Informative(seen, tuple(limits))

@@ -117,7 +117,9 @@ def believed(found: Found[Stage], hidden: Mapping[str, str]) -> Found[Stage]:
         if why is None and unseen and not found.final.follows:
             why = f"these logs cannot show it: {unseen[0]}"
         last, kept = found.steps[-1], found.steps[:-1]
-        why = why or may_vanish(found.final, last.effect)
+        if found.noise is not None or not found.final.follows:
+            # Whole runs that are followed to the count say more than an interval: two sizes may be known together only.
+            why = why or may_vanish(found.final, last.effect)
         if why is None and found.noise is not None and not found.white:
             why = _little(kept[-1].stage if kept else found.stages[0], found.final)
         if why is None:

@@ -192,7 +192,8 @@ def _diagnose(
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}
-    climbed = Ladder(train, model, library, from_file, rng, say, hidden, tolerance_pct).climbed()
+    hardly = {name for limit in preliminary.data.limits if limit.hardly for name in limit.effects}
+    climbed = Ladder(train, model, library, from_file, rng, say, hidden, hardly, tolerance_pct).climbed()
     gc.collect()  # a ladder and its searches hold each other: of a long log that is hundreds of MiB
     found = believed(climbed, hidden)
     if found.one_clock:

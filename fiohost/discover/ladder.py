@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -47,16 +47,19 @@ class Ladder:
         from_file: bool,
         rng: np.random.Generator,
         say: Progress,
-        hidden: Mapping[str, str],
+        hidden: Collection[str],
+        hardly: Collection[str],
         tolerance_pct: float,
     ) -> None:
         self.train, self.model, self.library, self.from_file = train, model, library, from_file
         self.rng, self.say, self.tolerance_pct = rng, say, tolerance_pct
-        shown = [n for n in (effects() if library is None else library) if n not in hidden]
+        names = list(effects() if library is None else library)
+        shown = [n for n in names if n not in hidden]
         # All points of a general curve take up a tenth of any slow torque: windows ask for named effects first, and
         # beside noise for no other.
         self.general = [n for n in shown if effects()[n].points]
         self.named = [n for n in shown if n not in self.general]
+        self.hardly = [n for n in names if n in hardly and n not in self.general]
         self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
         self.begun_anew = not self.exact
         self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
@@ -75,6 +78,8 @@ class Ladder:
                 return found
             if self._at_the_floor(best):
                 return self.whole.found(self.root, best)
+        elif self.exact and (found := self._by_one_name()):
+            return found
         return self._by_weighed_windows()
 
     def _by_whole_runs(self, best: Node) -> Found[Stage] | None:
@@ -89,11 +94,22 @@ class Ladder:
         reached = bool(node.added) and self.runs.reached(node.state.fit, self.runs.floor_rms(node.state))
         return reached and not self._noise_alone(node)
 
+    def _by_one_name(self) -> Found[Stage] | None:
+        """Of few logs, what one name explains to which windows lead: also one that they hardly show, as whole runs that
+        are followed to the count say more than the rules for that.
+        """
+        self.say("few logs: windows of 1 s")
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
+        search = self._in_windows(plain, [*self.named, *self.hardly])
+        seen = search.run(search.declared(self.model, self.from_file), most=1)
+        best = self._led(seen, most=1) if seen.added else None
+        return self.whole.found(self.root, best) if best else None
+
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         self.say("whole runs stay unexplained: windows of 1 s")
         plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
-        search = self._in_windows(plain, in_vain=lambda n: len(n.added) > 1)
+        search = self._in_windows(plain, self.named, in_vain=lambda n: len(n.added) > 1)
         root = search.declared(self.model, self.from_file)
         seen = search.run(root)
         best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
@@ -110,7 +126,7 @@ class Ladder:
     def _by_weighed_windows(self) -> Found[Stage]:
         """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""
         self.say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
-        search = self._in_windows(self.windows)
+        search = self._in_windows(self.windows, self.named)
         begun = search.declared(self.model, self.from_file)
         seen = search.run(begun)
         if self.exact and (seen.added or self.runs.few) and (best := self._led(seen)):
@@ -133,9 +149,11 @@ class Ladder:
         self.runs.anew = False
         return self.whole.found(self.root, best) if self.whole.explains(best) else None
 
-    def _in_windows(self, windows: PlainWindows, in_vain: Callable[[Node], bool] = lambda node: False) -> Search[Stage]:
+    def _in_windows(
+        self, windows: PlainWindows, library: Sequence[str], in_vain: Callable[[Node], bool] = lambda node: False
+    ) -> Search[Stage]:
         return Search(
-            windows, self.named, self.say, tolerance_pct=self.tolerance_pct, enough=self._enough, in_vain=in_vain
+            windows, library, self.say, tolerance_pct=self.tolerance_pct, enough=self._enough, in_vain=in_vain
         )
 
     def _enough(self, node: Node) -> bool:
@@ -171,7 +189,8 @@ class Ladder:
         """What explains whole runs from where windows led, with ``most`` effects, some of them added there, or None."""
         again = Node(self.runs.finished(self._as_whole_runs(seen).state), seen.added)
         if self.whole.explains(again):
-            again = self.whole.exchanged(again, root=None if self.runs.only_counts(again.state) else self.root)
+            counts_alone = self.runs.only_counts(again.state) and not self.runs.few
+            again = self.whole.exchanged(again, root=None if counts_alone else self.root)
         else:
             again = self.whole.run(again, most)
         return again if self.whole.explains(again) else None
