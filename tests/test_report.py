@@ -20,6 +20,7 @@ from fiohost.errors import FiohostError
 from fiohost.report import words
 from fiohost.report.page import write_page
 from fiohost.report.plots import save_plots
+from fiohost.report.preliminary import limits
 from fiohost.report.series import SeriesPlot
 from fiohost.report.tables import print_diagnosis
 
@@ -258,6 +259,16 @@ def test_the_terminal_warns_of_faults_and_keeps_the_rest_for_verbose() -> None:
     for part in ("flat", "no reversals", "missed counts from quadratic drag", "1: 0.430, 2: 0.140", "not_closed",
                  "reversals 0"):  # fmt: skip
         assert part in full, part
+
+
+def test_what_was_found_is_not_said_to_be_what_the_logs_cannot_show() -> None:
+    named = {**diagnosis(), **preliminary()}
+    name = named["steps"][0]["effect"]
+    named["data"] = {**named["data"], "cannot_show": [{"effects": ["backlash", name], "why": "no reversals"},
+                                                      {"effects": [name], "why": "one level"}]}  # fmt: skip
+    assert "These logs cannot show backlash (why: -v or the page)." in " ".join(printed(named).split())
+    assert limits(named)[0] == ("cannot show backlash", "no reversals")
+    assert not any("one level" in why for _, why in limits(named))
 
 
 def test_a_diagnosis_that_found_nothing_before_says_nothing_before() -> None:

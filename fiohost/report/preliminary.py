@@ -115,15 +115,23 @@ def _sentence(text: str) -> str:
     return text if "." in text.split(" ", 1)[0] else text[0].upper() + text[1:]
 
 
+def _not_shown(diagnosis: Mapping[str, Any]) -> list[tuple[list[str], str]]:
+    """Effects in words that the logs cannot show, and why; what was found in them all the same is not among these."""
+    found = {step.get("effect") for step in diagnosis.get("steps") or []}
+    rows = []
+    for item in (diagnosis.get("data") or {}).get("cannot_show") or []:
+        names = [effect_words(str(n)) for n in item.get("effects") or [] if n not in found]
+        if names:
+            rows.append((names, str(item.get("why", ""))))
+    return rows
+
+
 def limits(diagnosis: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What the logs cannot show or tell apart, as (effects in words, why)."""
-    data = diagnosis.get("data") or {}
-    rows = []
-    for key, joint in (("cannot_show", "or"), ("cannot_tell_apart", "from")):
-        for item in data.get(key) or []:
-            names = listed((effect_words(str(n)) for n in item.get("effects") or []), joint)
-            lead = "cannot show" if key == "cannot_show" else "cannot tell"
-            rows.append((f"{lead} {names}", str(item.get("why", ""))))
+    rows = [(f"cannot show {listed(names, 'or')}", why) for names, why in _not_shown(diagnosis)]
+    for item in (diagnosis.get("data") or {}).get("cannot_tell_apart") or []:
+        names = [effect_words(str(n)) for n in item.get("effects") or []]
+        rows.append((f"cannot tell {listed(names, 'from')}", str(item.get("why", ""))))
     return rows
 
 
@@ -142,8 +150,7 @@ def print_preliminary(console: Console, diagnosis: Mapping[str, Any], verbose: b
     from rich.text import Text
 
     told = warnings(diagnosis)
-    hidden = sorted({effect_words(str(n)) for i in (diagnosis.get("data") or {}).get("cannot_show") or []
-                     for n in i.get("effects") or []})  # fmt: skip
+    hidden = sorted({name for names, _ in _not_shown(diagnosis) for name in names})
     for sentence in told:
         console.print(Text.assemble(("Warning: ", "bold yellow"), sentence))
     if hidden and not verbose:
