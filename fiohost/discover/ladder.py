@@ -78,7 +78,7 @@ class Ladder:
                 return found
             if self._at_the_floor(best):
                 return self.whole.found(self.root, best)
-        elif self.exact and (found := self._by_one_name()):
+        elif self.exact and self.hardly and (found := self._by_what_hardly_shows()):
             return found
         return self._by_weighed_windows()
 
@@ -94,15 +94,15 @@ class Ladder:
         reached = bool(node.added) and self.runs.reached(node.state.fit, self.runs.floor_rms(node.state))
         return reached and not self._noise_alone(node)
 
-    def _by_one_name(self) -> Found[Stage] | None:
-        """Of few logs, what one name explains to which windows lead: also one that they hardly show, as whole runs that
-        are followed to the count say more than the rules for that.
+    def _by_what_hardly_shows(self) -> Found[Stage] | None:
+        """Of few logs, an effect that they hardly show, to which windows lead before all others, where it explains them:
+        whole runs that are followed to the count say more than the rules for that.
         """
-        self.say("few logs: windows of 1 s")
+        self.say("few logs: windows of 1 s, what they hardly show among the rest")
         plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
         search = self._in_windows(plain, [*self.named, *self.hardly])
         seen = search.run(search.declared(self.model, self.from_file), most=1)
-        best = self._led(seen, most=1) if seen.added else None
+        best = self._led(seen, most=1) if seen.names.intersection(self.hardly) else None
         return self.whole.found(self.root, best) if best else None
 
     def _by_plain_windows(self) -> Found[Stage] | None:
