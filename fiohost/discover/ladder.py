@@ -95,7 +95,7 @@ class Ladder:
         return reached and not self._noise_alone(node)
 
     def _by_what_hardly_shows(self) -> Found[Stage] | None:
-        """Of few logs, an effect that they hardly show, to which windows lead before all others, where it explains them:
+        """Of few logs, an effect that they hardly show, to which windows lead before all others, where it explains all:
         whole runs that are followed to the count say more than the rules for that.
         """
         self.say("few logs: windows of 1 s, what they hardly show among the rest")
