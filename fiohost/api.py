@@ -65,9 +65,22 @@ def read_log(
     return read_any([source], answers)[0]
 
 
-def read_logs(sources: Source | Sequence[Source]) -> list[Log]:
-    """Several logs; foreign tables of the same columns are understood together. Raises FiohostError."""
-    return read_any(_listed(sources))
+def read_logs(
+    sources: Source | Sequence[Source],
+    *,
+    time: str | None = None,
+    command: str | None = None,
+    measured: str | None = None,
+    unit: str | None = None,
+    full_scale: float | None = None,
+    counts_per_rev: float | None = None,
+    sample_time_s: float | None = None,
+) -> list[Log]:
+    """Several logs; foreign tables of the same columns are understood together, with what is said here as
+    :func:`read_log` takes it. Raises FiohostError.
+    """
+    answers = Answers(time, command, measured, unit, full_scale, counts_per_rev, sample_time_s)
+    return read_any(_listed(sources), answers)
 
 
 def to_dataframe(log: Log) -> pandas.DataFrame:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost.advice.limit import Limit, Measured
 from fiohost.advice.limits import detection_limits
-from fiohost.circle.evidence import Source, check_roles, read_logs, unique_names
+from fiohost.circle.evidence import Source, TableIs, check_roles, read_logs, unique_names
 from fiohost.discover.objective import WholeRuns
 from fiohost.errors import DataError
 from fiohost.estimation.record import pwm_of, record_from_log, with_bench
@@ -23,7 +22,7 @@ def smallest_visible(
     logs: Sequence[Source],
     model: str | Model,
     *,
-    table_map: str | Path | None = None,
+    table_map: TableIs = None,
     library: Sequence[str] | None = None,
     seed: int = 0,
     say: Callable[[str], None] = lambda text: None,

@@ -14,18 +14,22 @@ from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.own_start import SETTINGS as OWN
 from fiohost.errors import ConfigError, DataError
 from fiohost.estimation.record import Record, record_from_log
+from fiohost.importing.found import Answers
 from fiohost.motor.model import Model
 
 Source = str | Path | Log
+TableIs = str | Path | Answers | None  # what foreign tables are: a map, answers, or found
 LONGEST_OWN_S = 3600.0
 
 
-def read_logs(sources: Sequence[Source], table_map: str | Path | None = None) -> list[Log]:
-    """Read logs; foreign tables by a map, or by the one that is found for them. Raises FiohostError."""
+def read_logs(sources: Sequence[Source], table_map: TableIs = None) -> list[Log]:
+    """Read logs; foreign tables by a map, or by the one that is found for them with the answers to what nobody can
+    know. Tables of one bench are read at once, as they are understood together. Raises FiohostError.
+    """
     from fiohost.importing.automatic import read_any
 
-    if table_map is None:
-        return read_any(sources)
+    if table_map is None or isinstance(table_map, Answers):
+        return read_any(sources, table_map)
     from fiohost.importing.convert import log_from_table
     from fiohost.importing.map import TableMap
 
@@ -60,7 +64,7 @@ def diagnose(
     holdout: Sequence[Source] = (),
     model: str | Model = "linear",
     *,
-    table_map: str | Path | None = None,
+    table_map: TableIs = None,
     library: Sequence[str] | None = None,
     seed: int = 0,
     limits: bool = False,
@@ -80,7 +84,8 @@ def diagnose(
     if not 0.0 <= own_seconds <= LONGEST_OWN_S:
         raise ConfigError(f"own_seconds = {own_seconds:g} is not within 0 to {LONGEST_OWN_S:g} s")
     declared = model if isinstance(model, Model) else Model.parse(str(model))
-    train, held = read_logs(logs, table_map), read_logs(holdout, table_map)
+    read = read_logs([*logs, *holdout], table_map)
+    train, held = read[: len(logs)], read[len(logs) :]
     check_roles(train, held)
     announce(train, held)
     names = unique_names([*train, *held])

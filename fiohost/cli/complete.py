@@ -69,7 +69,6 @@ COMPLETERS = {
     "model": models,
     "against": models,
     "table_map": maps,
-    "map_name": maps,
     "what": effects,
 }
 

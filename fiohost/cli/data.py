@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fiohost.cli.output import json_option, output_for
+from fiohost.cli.tables import Told, table_options
 
 if TYPE_CHECKING:
     from fiohost.advice.limit import Measured
@@ -21,11 +22,9 @@ if TYPE_CHECKING:
 @click.option("--brief", is_flag=True, help="One line for each effect.")
 @click.option("--limits", is_flag=True, help="Say how small an effect would show in the LOGs that follow.")
 @click.option("--model", metavar="M", help="With --limits: the model that the logs are of.  [default: linear]")
-@click.option("--map", "table_map", metavar="MAP", help="With --limits: the logs are foreign tables; MAP reads them.")
+@table_options("With --limits: the logs are foreign tables; MAP says how to read them.")
 @json_option
-def effects(
-    what: Sequence[str], brief: bool, limits: bool, model: str | None, table_map: str | None, json_to: str | None
-) -> None:
+def effects(what: Sequence[str], brief: bool, limits: bool, model: str | None, told: Told, json_to: str | None) -> None:
     """List the effects that a model can have: equation, what each does to a log, what it cannot be told from, and the
     smallest size that shows. With check: try an effect's bounds, neutral value, derivatives, steady speeds and energy.
 
@@ -43,8 +42,8 @@ def effects(
 
     if limits and not what:
         raise click.UsageError("--limits needs logs: fiohost effects --limits LOG...")
-    if not limits and (model or table_map):
-        raise click.UsageError("--model and --map go with --limits LOG...")
+    if not limits and (model or told):
+        raise click.UsageError("--model, --map and what is said of tables go with --limits LOG...")
     if what and what[0] == "check" and not limits:
         _check(what[1:], brief, json_to)
         return
@@ -56,7 +55,7 @@ def effects(
         from fiohost.cli.progress import progress
 
         with progress() as doing:
-            own = smallest_visible([Path(log) for log in what], model or "linear", table_map=table_map, say=doing)
+            own = smallest_visible([Path(log) for log in what], model or "linear", table_map=told.how, say=doing)
     if brief or own:
         _print_table(say, chosen, default, own)
     else:

@@ -11,6 +11,7 @@ import click
 from fiohost.cli.options import PATH, expanded, parse_seed
 from fiohost.cli.output import json_option, output_for
 from fiohost.cli.progress import progress
+from fiohost.cli.tables import Told, table_options
 from fiohost.errors import ConfigError, ModelError
 from fiohost.files import claim, report_folder
 
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 @json_option
 @click.option("--save-model", type=PATH, metavar="FILE", help="Write the final model, for simulate.")
 @click.option("--report", type=PATH, metavar="DIR", help="Write a page and plots into DIR.")
-@click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
+@table_options("The logs are foreign tables; MAP says how to read them.")
 @click.option(
     "--limits", is_flag=True, help="Say how small an effect would have been seen, also where some were found."
 )
@@ -76,7 +77,7 @@ def diagnose(
     json_to: str | None,
     save_model: Path | None,
     report: Path | None,
-    table_map: str | None,
+    told: Told,
     limits: bool,
     tolerance: str,
     own_seconds: float,
@@ -95,7 +96,7 @@ def diagnose(
     if not logs and not readings:
         raise click.UsageError("Missing argument 'LOG...', or --readings FILE.")
     if readings:
-        of_logs = {"LOG": logs, "--holdout": holdout, "--map": table_map, "--limits": limits, "--constants": constants}
+        of_logs = {"LOG": logs, "--holdout": holdout, "--map": told, "--limits": limits, "--constants": constants}
         _refuse_with_readings(of_logs)
         _diagnose_readings(readings, model, json_to, save_model, report, seed)
         return
@@ -133,7 +134,7 @@ def diagnose(
             train,
             held_out,
             declared,
-            table_map=table_map,
+            table_map=told.how,
             seed=drawn,
             limits=limits,
             tolerance_pct=_percent(tolerance),
@@ -227,10 +228,10 @@ def _diagnose_readings(
     "--model", required=True, metavar="FILE", help="A model file (from diagnose --save-model) or an expression."
 )
 @click.option("-o", "--output", required=True, type=PATH, metavar="OUT.csv", help="Table to write.")
-@click.option("--map", "table_map", metavar="MAP", help="LOG is a foreign table; MAP says how to read it.")
+@table_options("LOG is a foreign table; MAP says how to read it.")
 @click.option("--within", is_flag=True, help="Refuse a log that goes beyond what the model was fitted to.")
 @json_option
-def simulate(log: Path, model: str, output: Path, table_map: str | None, within: bool, json_to: str | None) -> None:
+def simulate(log: Path, model: str, output: Path, told: Told, within: bool, json_to: str | None) -> None:
     """Free run of a saved model on a log's commands, so that anyone can check the figures.
 
     A model file says what duties, speeds and holds it was fitted to. A log that goes beyond them is simulated with a
@@ -249,7 +250,7 @@ def simulate(log: Path, model: str, output: Path, table_map: str | None, within:
     say = output_for(json_to)
     claim(output)
     chosen = Model.parse(model)
-    (source,) = read_logs([log], table_map)
+    (source,) = read_logs([log], told.how)
     found = replay(source, chosen)
     if within and chosen.seen is None:
         raise ModelError(f"{model} does not say what it was fitted to, so nothing is known to be within it")

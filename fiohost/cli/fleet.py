@@ -9,6 +9,7 @@ import click
 
 from fiohost.cli.options import PATH, parse_seed, parse_whole
 from fiohost.cli.output import json_option, output_for
+from fiohost.cli.tables import Told, table_options
 
 
 @click.command()
@@ -25,10 +26,11 @@ from fiohost.cli.output import json_option, output_for
 @click.option("--processes", metavar="N", help="Local processes; otherwise one for each core.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask cluster instead, as tcp://host:8786.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="Seed of the replicas that make the floor.")
+@table_options("The logs are foreign tables; MAP says how to read them.")
 @json_option
 def fleet(
     folder: Path, out: Path, model: str, fit_only: bool, processes: str | None, scheduler: str | None, seed: str,
-    json_to: str | None,
+    told: Told, json_to: str | None,
 ) -> None:  # fmt: skip
     """Diagnose many benches: each folder of FOLDER is one (its logs in it, those that only report in holdout/), or each
     log where it has no folders; or each row of a table with columns bench and logs. Into DIR go fleet.parquet,
@@ -37,7 +39,7 @@ def fleet(
     \b
     Examples:
       fiohost fleet line/ --out result --model motor.toml
-      fiohost fleet benches.csv --out result --fit-only
+      fiohost fleet benches.csv --out result --fit-only --full-scale 24
       fiohost fleet line/ --out result --scheduler tcp://10.0.0.5:8786
     """
     from fiohost.errors import ConfigError
@@ -47,6 +49,7 @@ def fleet(
     from fiohost.fleet.run import KEPT, run_fleet
     from fiohost.fleet.summary import summarised, write_table
     from fiohost.fleet.work import Settings
+    from fiohost.importing.found import Answers
     from fiohost.motor.model import Model
     from fiohost.settings import find_config
 
@@ -56,7 +59,12 @@ def fleet(
     Model.parse(model)  # refused here, before any work
     is_expression = model.split("+")[0].strip() == "linear" and not model.endswith(".toml")
     text = None if is_expression else find_config("models", model).read_text(encoding="utf-8")
-    settings = Settings(model if is_expression else "", text, not fit_only, parse_seed(seed) or 0)
+    answers = told.answers
+    map_text = None if told.table_map is None else find_config("maps", told.table_map).read_text(encoding="utf-8")
+    settings = Settings(
+        model if is_expression else "", text, not fit_only, parse_seed(seed) or 0, map_text,
+        answers if answers != Answers() else None,
+    )  # fmt: skip
     make_folder(out)
     if os.path.samefile(folder, out):
         raise ConfigError(f"the results would lie among the benches: give --out another folder than {folder}")

@@ -10,6 +10,7 @@ import click
 
 from fiohost.cli.options import PATH, expanded, parse_number
 from fiohost.cli.output import Output, json_option, output_for
+from fiohost.cli.tables import Told, table_options
 from fiohost.files import claim, shown
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ NAMES = {
     help="What pem fits from.  [default: the reference of a closed loop, else the duty]",
 )  # fmt: skip
 @click.option("--kp", metavar="K", help="Gain of the P controller in percent per degree.  [default: as the logs say]")
-@click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
+@table_options("The logs are foreign tables; MAP says how to read them.")
 @click.option("--save-model", type=PATH, metavar="FILE", help="Write the motor as a model file.")
 @click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the first log.")
 @json_option
@@ -43,7 +44,7 @@ def identify(
     method: str,
     fitted: str | None,
     kp: str | None,
-    table_map: str | None,
+    told: Told,
     save_model: Path | None,
     plot_to: Path | None,
     json_to: str | None,
@@ -71,7 +72,7 @@ def identify(
     from fiohost.estimation.logs import identify as run
     from fiohost.importing.automatic import understood
 
-    whole = read_logs(expanded(logs, "LOG"), table_map)
+    whole = read_logs(expanded(logs, "LOG"), told.how)
     rows = {str(log.path): len(log) for log in whole}
     read = [stretch for log in whole for stretch in log.stretches(MOST_ROWS, STRETCHES)]
     del whole

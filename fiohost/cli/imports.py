@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fiohost.cli.options import PATH, parse_number
+from fiohost.cli.options import PATH
 from fiohost.cli.output import Output, json_option, output_for
 from fiohost.cli.progress import progress
+from fiohost.cli.tables import Told, table_options
 from fiohost.errors import ConfigError, DataError
 from fiohost.files import claim, write_output
 from fiohost.settings import counted
@@ -28,29 +29,14 @@ PICTURE = ".png"
 
 @click.command("import")
 @click.argument("table", type=PATH)
-@click.option(
-    "--map", "map_name", metavar="MAP", help="Map file, or the name of a shipped one.  [default: it is found]"
-)
+@table_options("Map file, or the name of a shipped one.  [default: it is found]")
 @click.option("--yes", is_flag=True, help="Take what is found without asking.")
 @click.option(
     "-o", "--output", type=PATH, metavar="LOG", help="Log to write.  [default: TABLE_log.csv, or the first free]"
 )
-@click.option("--time", metavar="COLUMN", help="Which column is the time.")
-@click.option("--command", metavar="COLUMN", help="Which column is the command: duty, PWM or voltage.")
-@click.option("--measured", metavar="COLUMN", help="Which column is measured: angle, speed or position.")
-@click.option("--unit", metavar="UNIT", help="Unit of the measured column: deg, rad, rev, counts, deg/s, rpm, m, ...")
-@click.option(
-    "--full-scale", metavar="X", help="What of the command is 100 %, in its own unit: 12 for 12 V, 255 for PWM."
-)
-@click.option("--counts-per-rev", metavar="N", help="Counts of a turn.")
-@click.option("--sample-time", metavar="S", help="Seconds between rows, where no column is one of time.")
 @click.option("--plot", "plot_to", type=PATH, metavar="F", help="Picture of the log.  [default: beside the log]")
 @json_option
-def import_(
-    table: Path, map_name: str | None, yes: bool, output: Path | None, time: str | None, command: str | None,
-    measured: str | None, unit: str | None, full_scale: str | None, counts_per_rev: str | None, sample_time: str | None,
-    plot_to: Path | None, json_to: str | None,
-) -> None:  # fmt: skip
+def import_(table: Path, told: Told, yes: bool, output: Path | None, plot_to: Path | None, json_to: str | None) -> None:
     """Make a log of any table of numbers: CSV and other text, MATLAB (.mat), HDF5, Parquet.
 
     Without --map the table is looked at: delimiter, decimal mark, encoding, title rows, names, units, dates, which
@@ -65,19 +51,8 @@ def import_(
       fiohost import power_040.csv --map nxt_open_loop -o log_040.csv
     """
     say = output_for(json_to)
-    numbers = {
-        "full_scale": None if full_scale is None else parse_number("--full-scale", full_scale, 1e-9, 1e9),
-        "counts_per_rev": None
-        if counts_per_rev is None
-        else parse_number("--counts-per-rev", counts_per_rev, 1.0, 1e9),
-        "sample_time_s": None if sample_time is None else parse_number("--sample-time", sample_time, 1e-7, 3600.0, "s"),
-    }
-    from fiohost.importing.found import Answers
-
-    answers = Answers(time=time, command=command, output=measured, unit=unit, **numbers)
+    answers, map_name = told.answers, told.table_map
     if map_name is not None:
-        if answers != Answers():
-            raise ConfigError("--map says which column is what; leave the other answers away, or leave the map away")
         _with_map(say, table, map_name, output, plot_to)
         return
     from fiohost.importing.automatic import says_it_is_a_log
@@ -106,14 +81,14 @@ def import_(
     _say_log(say, output, log)
     _draw(log, picture, f"{table.name}: what was understood", found.sentences)
     say(f"  map: {map_to}; picture: {picture}")
-    told = {
+    shown = {
         "map_file": map_to,
         "picture": picture,
         "understood": found.lines,
         "assumed": found.assumed,
         "form": found.table.form,
     }
-    say.json(_result(log, output, table, str(map_to)) | told)
+    say.json(_result(log, output, table, str(map_to)) | shown)
 
 
 def _with_map(say: Output, table: Path, map_name: str, output: Path | None, plot_to: Path | None) -> None:

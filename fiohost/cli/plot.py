@@ -9,6 +9,7 @@ import click
 
 from fiohost.cli.options import PATH, expanded
 from fiohost.cli.output import json_option, output_for
+from fiohost.cli.tables import Told, table_options
 from fiohost.errors import ConfigError
 from fiohost.files import FreeName, claim, write_output
 
@@ -21,7 +22,7 @@ SUFFIXES = (".png", ".svg", ".pdf", ".html")
 @click.option("--phase", is_flag=True, help="Speed over angle, in place of all over time.")
 @click.option("--spectrum", is_flag=True, help="Amplitude over frequency, in place of all over time.")
 @click.option("--against", metavar="M", help="A model beside it: a file from diagnose --save-model, or an expression.")
-@click.option("--map", "table_map", metavar="MAP", help="The logs are foreign tables; MAP says how to read them.")
+@table_options("The logs are foreign tables; MAP says how to read them.")
 @click.option(
     "-o", "--output", type=PATH, metavar="F", help="Picture (.png, .svg, .pdf) or page (.html).  [default: LOG.png]"
 )
@@ -31,7 +32,7 @@ def plot(
     phase: bool,
     spectrum: bool,
     against: str | None,
-    table_map: str | None,
+    told: Told,
     output: Path | None,
     json_to: str | None,
 ) -> None:
@@ -62,7 +63,7 @@ def plot(
     from fiohost.circle.evidence import read_logs, unique_names
     from fiohost.report.log_series import LogSeries, series_of
 
-    read = read_logs(given, table_map)
+    read = read_logs(given, told.how)
     series: list[LogSeries] = []
     for log, name in zip(read, unique_names(read), strict=True):
         simulated = None

@@ -241,7 +241,11 @@ def _pair(names: tuple[str, str], values: tuple[float, float], variances: np.nda
 def _carried(
     change: Callable[[float, float], tuple[float, float]], at: tuple[float, float], cov: np.ndarray
 ) -> np.ndarray:
-    """Variances (2) of what a change of variables makes of two estimates, by its derivatives."""
+    """Variances (2) of what a change of variables makes of two estimates, by its derivatives; infinite where one of
+    these is unknown.
+    """
+    if not np.isfinite(cov).all():
+        return np.full(2, np.inf)
     point = np.array(at)
     steps = np.diag(DIFFERENCE * point)
     slopes = np.column_stack(

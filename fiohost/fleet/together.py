@@ -150,9 +150,12 @@ def z_scores(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> np.ndar
         return values
     middle = np.nanmedian(values, axis=0)
     wide = np.maximum(_robust_sd(values), LEAST_SD * np.abs(middle))
-    typical = np.nanmedian(np.where(np.isfinite(own), own, np.nan), axis=0)
+    sure = np.isfinite(own).any(axis=0)
+    typical = np.zeros(own.shape[1])
+    typical[sure] = np.nanmedian(np.where(np.isfinite(own[:, sure]), own[:, sure], np.nan), axis=0)
     # The spread holds what an ordinary motor's interval adds; only what a motor knows less well than that is its own.
-    marginal = (values - middle) / np.sqrt(wide**2 + np.maximum(own**2 - typical**2, 0.0))
+    spread = np.sqrt(wide**2 + np.maximum(own**2 - typical**2, 0.0))
+    marginal = np.divide(values - middle, spread, out=np.zeros_like(values), where=spread > 0.0)
     known = np.isfinite(alone).any(axis=0)
     alone[:, known] /= np.maximum(_robust_sd(alone[:, known]), 1.0)
     return np.where(np.nan_to_num(np.abs(alone)) > np.abs(marginal), alone, marginal)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from fiohost.importing.found import Answers
+
 SCHEMA = "fiohost.fleet_bench/4"
 ALL, NONE = "all", "none"
 
@@ -18,13 +20,15 @@ ALL, NONE = "all", "none"
 @dataclass(frozen=True)
 class Settings:
     """What is done with each bench: the declared model (a file's text or an expression), whether what it lacks is
-    looked for, and the seed.
+    looked for, the seed, and what is said of tables: a map (its text) or answers.
     """
 
     model: str
     model_file: str | None = None
     diagnose: bool = True
     seed: int = 0
+    map_file: str | None = None
+    answers: Answers | None = None
 
     @property
     def text(self) -> str:
@@ -62,7 +66,10 @@ def _done(folder: Path, contents: Mapping[str, bytes], logs: int, settings: Sett
     if settings.model_file is not None:
         (folder / "model.toml").write_text(settings.model_file)
     model = Model.parse(str(folder / "model.toml") if settings.model_file is not None else settings.model)
-    train, held = read_logs(paths[:logs]), read_logs(paths[logs:])
+    if settings.map_file is not None:
+        (folder / "map.toml").write_text(settings.map_file)
+    read = read_logs(paths, settings.answers if settings.map_file is None else folder / "map.toml")
+    train, held = read[:logs], read[logs:]
     with threadpool_limits(limits=1):
         records = [record_from_log(log) for log in train]
         row = fitted(model, records) | {"metadata": _said(train[0].metadata)}

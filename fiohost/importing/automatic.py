@@ -8,6 +8,7 @@ from typing import Any
 
 from fiohost.bench.head import OUTPUT_UNITS
 from fiohost.bench.log import Log
+from fiohost.errors import ConfigError
 from fiohost.importing.convert import log_from_raw
 from fiohost.importing.found import Answers
 from fiohost.importing.raw import RawTable
@@ -38,9 +39,11 @@ def says_it_is_a_log(path: Path) -> bool:
 
 def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None) -> list[Log]:
     """Logs of files, of pandas' frames and of logs. Tables of the same columns are understood together, so that the
-    command has one scale in all of them. Raises FiohostError.
+    command has one scale in all of them and the sensor is one. Raises FiohostError.
     """
     read: list[Log | RawTable] = [_open(source) for source in sources]
+    if answers is not None and answers != Answers() and read and all(isinstance(one, Log) for one in read):
+        raise ConfigError(f"{read[0].path} is a log of fiohost: it says itself what it is; leave the answers away")
     found: list[Log] = []
     for one in read:
         if isinstance(one, Log):

@@ -118,7 +118,7 @@ def _metadata(
         ("output_quantum", f"{table_map.quantum * factor:.12g}"),
         ("output_average", table_map.average),
         ("output_sign", "" if table_map.signed else "of the command"),
-        ("counts_per_rev", f"{turn:.0f}" if turn and turn.is_integer() else ""),
+        ("counts_per_rev", f"{turn:.0f}" if turn and turn == round(turn) else ""),
         ("output_noise_rms", "" if table_map.noise_rms is None else f"{table_map.noise_rms * factor:.12g}"),
         ("pos_reset", str(not table_map.common_zero).lower()),
         ("start_time", raw.column(table_map.time_column).begins if table_map.time_column else ""),

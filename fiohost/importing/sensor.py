@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from fiohost.importing import roles
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
 from fiohost.importing.map import TableMap
-from fiohost.importing.raw import FloatArray, RawTable
+from fiohost.importing.raw import FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head
 from fiohost.importing.units import MAP_UNITS, unit_of
 from fiohost.settings import nearest
@@ -24,19 +25,24 @@ TURN_PATTERNS = (
 )
 
 
-def sensor_of(raw: RawTable, output: Head, answers: Answers, found: Found) -> TableMap | None:
-    """The part of the map that is the output's."""
+def sensor_of(
+    raw: RawTable, output: Head, columns: Sequence[RawColumn], answers: Answers, found: Found
+) -> TableMap | None:
+    """The part of the map that is the output's; *columns* are its column in all tables of a bench: its sensor is one,
+    and what one table does not show another may.
+    """
     column = output.column
-    values = column.values[np.isfinite(column.values)]
+    values = np.concatenate([c.values[np.isfinite(c.values)] for c in columns])
     whole = bool(values.size) and bool(np.all(values == np.rint(values)))
-    unit, scale = _output_unit(output, answers, values, whole, found)
+    unit, scale = _output_unit(output, answers, columns, values, whole, found)
     if not unit:
         kinds = "rpm, deg/s, rad/s" if output.words & SPEED_WORDS else "deg, rad, counts; deg/s, rpm, rad/s; m"
         what = f"the unit of the output {column.name!r} ({kinds})"
         found.unknown.append(Unknown("unit", what, "--unit", tuple(MAP_UNITS)))
         return None
-    quantum = quantum_of(column.values) * abs(scale)
-    wrap = wrap_of(column.values * scale, unit) if MAP_UNITS[unit][0] == "angle" else 0.0
+    quantum = min((q for q in (quantum_of(c.values) for c in columns) if q > 0.0), default=0.0) * abs(scale)
+    angle = MAP_UNITS[unit][0] == "angle"
+    wrap = max(wrap_of(c.values * scale, unit) for c in columns) if angle else 0.0
     turn = 0.0
     if unit in ("counts", "counts/s"):
         turn = answers.counts_per_rev or _counts_per_rev(raw, output)
@@ -70,7 +76,9 @@ def sensor_of(raw: RawTable, output: Head, answers: Answers, found: Found) -> Ta
     )  # fmt: skip
 
 
-def _output_unit(output: Head, answers: Answers, values: FloatArray, whole: bool, found: Found) -> tuple[str, float]:
+def _output_unit(
+    output: Head, answers: Answers, columns: Sequence[RawColumn], values: FloatArray, whole: bool, found: Found
+) -> tuple[str, float]:
     """The map's unit of the output and the factor to it, "" where it is not known."""
     if answers.unit is not None:
         said = unit_of(answers.unit)
@@ -89,11 +97,11 @@ def _output_unit(output: Head, answers: Answers, values: FloatArray, whole: bool
     if whole and output.words & COUNT_WORDS:
         found.assumed.append(f"{name!r}, whole numbers, are counts")
         return "counts", 1.0
-    turn = turn_of(values)
+    turn = next((t for t in (turn_of(c.values[np.isfinite(c.values)]) for c in columns) if t), "")
     if turn and not (whole and turn == "rad"):
         found.assumed.append(f"{name!r} is in {turn}, since it begins anew after a turn of that size")
         return turn, 1.0
-    if whole and wrap_of(values, "counts") and output.score(roles.OUTPUT) > 2.0:
+    if whole and any(wrap_of(c.values, "counts") for c in columns) and output.score(roles.OUTPUT) > 2.0:
         found.assumed.append(f"{name!r}, whole numbers that begin anew, are counts")
         return "counts", 1.0
     return "", 1.0

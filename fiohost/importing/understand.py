@@ -21,7 +21,7 @@ from fiohost.importing.convert import with_direction
 from fiohost.importing.direction import direction_of
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
-from fiohost.importing.raw import TEXT, FloatArray, RawTable
+from fiohost.importing.raw import TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import SPEED_WORDS, Head, head_of
 from fiohost.importing.scale import Scale, scale_of
 from fiohost.importing.sensor import sensor_of
@@ -52,7 +52,7 @@ class Understanding:
         if self.table_map is None:
             what = " and ".join(one.what for one in self.unknown)
             options = ", ".join(dict.fromkeys(one.option for one in self.unknown if one.option))
-            says = f"; say it with {options} of fiohost import, or write a map" if options else "; a map can say it"
+            says = f"; say it with {options}, or write a map" if options else "; a map can say it"
             raise DataError(f"{self.table.path}: unknown is {what}{says}")
         return self.table_map
 
@@ -63,7 +63,7 @@ class Understanding:
 
 
 def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[RawTable] = ()) -> Understanding:
-    """Find out what *raw* is. *others* are tables of the same columns, whose commands count for its full scale.
+    """Find out what *raw* is. *others* are tables of the same columns: command and sensor are one for all of them.
 
     Raises ConfigError for an answer that does not fit the table.
     """
@@ -87,8 +87,8 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     command = _command(raw, heads, answers, found, output)
     if output is None or command is None or clock is None:
         return _done(raw, None, found, answers)
-    sensor = sensor_of(raw, output, answers, found)
-    scale = _scale(raw, command, heads, answers, found, others)
+    sensor = sensor_of(raw, output, _columns(output, others), answers, found)
+    scale = _scale(raw, command, _columns(command, others), heads, answers, found)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
     duty, speed = _duty_and_speed(command, output, sensor, scale)
@@ -223,11 +223,15 @@ def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Foun
     return first[0]
 
 
+def _columns(head: Head, others: Sequence[RawTable]) -> list[RawColumn]:
+    """A column in all tables of a bench."""
+    same = [other.column(head.column.name) for other in others]
+    return [head.column, *(c for c in same if c.kind == head.column.kind)]
+
+
 def _scale(
-    raw: RawTable, command: Head, heads: Sequence[Head], answers: Answers, found: Found, others: Sequence[RawTable]
+    raw: RawTable, command: Head, columns: Sequence[RawColumn], heads: Sequence[Head], answers: Answers, found: Found
 ) -> Scale | None:
-    columns = [raw.column(command.column.name)]
-    columns += [other.column(command.column.name) for other in others if command.column.name in other.names]
     supply = next((h for h in heads if h.role == roles.SUPPLY), None)
     scale = scale_of(command, columns, supply, raw.titles, answers.full_scale)
     if scale is None:
