@@ -69,14 +69,14 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: not d.angle,
         lambda d: "no angle is measured: what belongs to a place on the turn cannot be assigned to it",
     ),
+)
+# Little shows these, but nothing else that there is need look like them.
+HARDLY_SHOW: Sequence[Rule] = (
     (
         TURNING,
         lambda d: d.turns is not None and d.turns < FEW_TURNS,
         lambda d: f"{d.turns or 0.0:.2g} turns are covered: what repeats with the turn does not repeat",
     ),
-)
-# Little shows these, but nothing else that there is need look like them.
-HARDLY_SHOW: Sequence[Rule] = (
     (
         ("backlash",),
         lambda d: d.reversals < FEW_REVERSALS,

@@ -27,13 +27,12 @@ class Belief(Generic[J]):
         return self.evidence.stage(node.state)
 
     def best_first(self, items: Sequence[Ranked]) -> list[Ranked]:
-        """Nodes or children by price; the simplest, then the commonest of those that are as good as the best one."""
+        """Nodes or children by price, before them those that are as good as the best one: the simplest, then the commonest."""
         order: list[Ranked] = sorted(items, key=lambda i: i.price)
         if order:
             least = min(order, key=lambda i: i.state.deviance)
             equal = [i for i in order if self.evidence.as_good(i.state, least.state)]
-            if equal:
-                order.insert(0, order.pop(order.index(min(equal, key=lambda i: i.simplicity))))
+            order = [*sorted(equal, key=lambda i: i.simplicity), *(i for i in order if i not in equal)]
         return order
 
     def surely(self, node: Node, child: Child) -> bool:

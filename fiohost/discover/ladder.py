@@ -12,7 +12,8 @@ from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, count
 from fiohost.discover.candidate import Progress
 from fiohost.discover.nodes import Node
 from fiohost.discover.objective import PlainWindows, WholeRuns
-from fiohost.discover.optimise import chosen_again
+from fiohost.discover.evidence import State
+from fiohost.discover.optimise import chosen_again, thorough_fit
 from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
@@ -21,9 +22,10 @@ from fiohost.discover.whitened import drawing, noise_of
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage, judged
-from fiohost.motor.effect import effects
+from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
+from fiohost.workers import each
 
 # What only says where to look next.
 GUIDE = replace(SETTINGS, draws=SETTINGS.draws_of_a_guide)
@@ -62,6 +64,8 @@ class Ladder:
         self.hardly = [n for n in names if n in hardly and n not in self.general]
         self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
         self.begun_anew = not self.exact
+        # Whether windows of few logs show nothing but counts beside the declared model.
+        self.counts_alone = False
         self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
         self.runs = WholeRuns(train, rng)
         self.whole = Search(self.runs, library, say, tolerance_pct=tolerance_pct, in_vain=self._in_vain)
@@ -78,7 +82,7 @@ class Ladder:
                 return found
             if self._at_the_floor(best):
                 return self.whole.found(self.root, best)
-        elif self.exact and self.hardly and (found := self._by_what_hardly_shows()):
+        elif self.exact and (found := self._each_alone()):
             return found
         return self._by_weighed_windows()
 
@@ -94,16 +98,32 @@ class Ladder:
         reached = bool(node.added) and self.runs.reached(node.state.fit, self.runs.floor_rms(node.state))
         return reached and not self._noise_alone(node)
 
-    def _by_what_hardly_shows(self) -> Found[Stage] | None:
-        """Of few logs, an effect that they hardly show, to which windows lead before all others, where it explains all:
-        whole runs that are followed to the count say more than the rules for that.
+    def _each_alone(self) -> Found[Stage] | None:
+        """Of few logs, the effect that alone leads whole runs to what they can show, or None.
+
+        Their whole runs have too many minima for a search, and their windows too little in them for a score: every
+        effect is fitted to windows, and whole runs say which of them follow the data. What windows do not show, no
+        whole run of a shaft that mostly rests tells from a minimum beside the right one.
         """
-        self.say("few logs: windows of 1 s, what they hardly show among the rest")
-        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
-        search = self._in_windows(plain, [*self.named, *self.hardly])
-        seen = search.run(search.declared(self.model, self.from_file), most=1)
-        best = self._led(seen, most=1) if seen.names.intersection(self.hardly) else None
-        return self.whole.found(self.root, best) if best else None
+        self.say("few logs: windows of 1 s, each effect alone")
+        guide = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
+        root = guide.declared(self.model, self.from_file)
+        if guide.reached(root.fit, 0.0):
+            self.counts_alone = self.begun_anew = True
+            return None
+        beside, records = guide.beside(root), self.runs.records
+        offered, _ = beside.offered([*self.named, *self.hardly, *self.general])
+
+        def as_whole(of: tuple[Effect, State]) -> tuple[Effect, State]:
+            fitted = fit(of[1].fit.model, records, max_iterations=25, tolerance=1e-6)
+            return of[0], self.runs.settled(thorough_fit(fitted, of[0], records))
+
+        whole = sorted(each(as_whole, beside.each_alone(offered)), key=lambda w: w[1].deviance)
+        for i, (effect, state) in enumerate(whole[: SETTINGS.finalists_in_windows]):
+            if not self.runs.only_counts(state) and (i == 0 or self.runs.near_counts(state)):
+                whole[i] = effect, self.runs.finished(state)
+        led = self.whole.alone(self.root, whole)
+        return self.whole.found(self.root, led) if led else None
 
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
@@ -129,7 +149,8 @@ class Ladder:
         search = self._in_windows(self.windows, self.named)
         begun = search.declared(self.model, self.from_file)
         seen = search.run(begun)
-        if self.exact and (seen.added or self.runs.few) and (best := self._led(seen)):
+        led = seen.added or (self.runs.few and not self.counts_alone)
+        if self.exact and led and (best := self._led(seen)):
             return self.whole.found(self.root, best)
         white = search.white(seen)
         ruling = () if white else self.windows.ruling(seen.state)

@@ -145,12 +145,16 @@ class WholeRuns(Logs):
         return [Screen(state.fit, self.records)]
 
     def as_good(self, state: State, best: State) -> bool:
-        # Counts of whole runs err alike and do not average out.
-        return state.fit.cost <= self.settings.as_good * best.fit.cost
+        # Counts of whole runs err alike and do not average out; those of few hardly differ where a shaft rests.
+        return state.fit.cost <= self.settings.as_good * best.fit.cost or (self.few and self.only_counts(state))
 
     def only_counts(self, state: State) -> bool:
         """Whether nothing but the rounding to counts is left: no other structure could leave less."""
         return state.fit.rms <= self.most_of_counts
+
+    def near_counts(self, state: State) -> bool:
+        """Whether a fit may be on a ledge beside one that leaves nothing but the rounding to counts."""
+        return state.fit.rms**2 <= self.settings.near_counts * self.most_of_counts**2
 
     def finished(self, state: State) -> State:
         return self._off_ledges(self._off.get(state, state), self.rng)

@@ -135,6 +135,23 @@ class LogsBeside:
         self.taken = set(best)
         return list(best.values())
 
+    def each_alone(self, offered: Sequence[Effect]) -> list[tuple[Effect, State]]:
+        """All effects that can be tried, each fitted whatever its score: what few experiments show of an effect may be
+        far from what its signature says. Those that come nowhere near the best one are left out.
+        """
+        self.ranked = [ranked(s, offered, s is self.screens[0]) for s in self.screens]
+        each_of = zip(self.screens, self.ranked, strict=True)
+        jobs = [Job(x, screen.fit, screen.records) for screen, scores in each_of for x in scores if x.trials]
+        rough = self._some_rough(jobs, np.inf, None, ())
+        least = min((f.cost for f in rough), default=0.0)
+        near = [(job, f) for job, f in zip(jobs, rough, strict=True) if f.cost <= self.logs.settings.hopeless * least]
+
+        def carried(of: tuple[Job, Fit]) -> tuple[Effect, State]:
+            job, found = of[0], carried_on(of[1], of[0].records)
+            return job.score.effect, self.logs.settled(thorough_fit(found, job.score.effect, job.records))
+
+        return each(carried, near)
+
     def completed(self, rival: State | None, name: str) -> State | None:
         """The rival, where it is this state with a name more: whole runs have been carried to their minimum with it."""
         if rival is None or not self.logs.exact:
@@ -341,10 +358,10 @@ class LogsBeside:
 
     def null(self, best: State, decided: Decided = lambda null: False) -> Null:
         null, first = self.logs.chance(self.state, best), self.screens[0]
-        screen, scores = first, self.ranked[0]
+        screen, scores = first, self.ranked[0] if self.ranked else ranked(first, self.offered(None)[0], True)
         if null is not self.state:
             screen = Screen(null.fit, null.records, first.span.lines_hz)
-            scores = each(screen.score, [s.effect for s in self.ranked[0]])
+            scores = each(screen.score, [s.effect for s in scores])
         return draw_null(null.fit, null.records, screen, scores, self.logs.rng, self.logs.settings, decided)
 
 

@@ -187,6 +187,18 @@ class Search(Generic[J]):
             return
         found = beside.refitted(offered, self.say, rival=rival.state if rival else None)
         self.told += beside.passed_over()
+        yield from self.believed(node, beside, found, self.settings.beam)
+
+    def alone(self, node: Node, found: Sequence[tuple[Effect, State]]) -> Node | None:
+        """The node with that one of some effects, each fitted alone, which explains the data, or None."""
+        beside = self.evidence.beside(node.state)
+        self.told = []
+        return next((grown for grown in self.believed(node, beside, found, len(found)) if self.explains(grown)), None)
+
+    def believed(self, node: Node, beside: Beside, found: Sequence[tuple[Effect, State]], most: int) -> Iterator[Node]:
+        """The nodes with one more of the effects ``found`` beside a node that is believed, the best first, so many at
+        ``most``.
+        """
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
         if not children:
@@ -202,7 +214,7 @@ class Search(Generic[J]):
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        for c in accepted[: self.settings.beam]:
+        for c in accepted[:most]:
             yield self.grown(node, c, accepted, null.of(c.name))
 
     def expanded(self, node: Node) -> Iterator[Node]:
