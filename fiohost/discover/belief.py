@@ -27,7 +27,9 @@ class Belief(Generic[J]):
         return self.evidence.stage(node.state)
 
     def best_first(self, items: Sequence[Ranked]) -> list[Ranked]:
-        """Nodes or children by price, before them those that are as good as the best one: the simplest, then the commonest."""
+        """Nodes or children by price, before them those that are as good as the best one: the simplest, then the
+        commonest.
+        """
         order: list[Ranked] = sorted(items, key=lambda i: i.price)
         if order:
             least = min(order, key=lambda i: i.state.deviance)

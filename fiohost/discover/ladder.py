@@ -10,9 +10,9 @@ import numpy as np
 
 from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
 from fiohost.discover.candidate import Progress
+from fiohost.discover.evidence import State
 from fiohost.discover.nodes import Node
 from fiohost.discover.objective import PlainWindows, WholeRuns
-from fiohost.discover.evidence import State
 from fiohost.discover.optimise import chosen_again, thorough_fit
 from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
@@ -64,7 +64,7 @@ class Ladder:
         self.hardly = [n for n in names if n in hardly and n not in self.general]
         self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
         self.begun_anew = not self.exact
-        # Whether windows of few logs show nothing but counts beside the declared model.
+        # Whether few logs, of a shaft that mostly rests, show nothing but counts in windows.
         self.counts_alone = False
         self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
         self.runs = WholeRuns(train, rng)
@@ -102,13 +102,13 @@ class Ladder:
         """Of few logs, the effect that alone leads whole runs to what they can show, or None.
 
         Their whole runs have too many minima for a search, and their windows too little in them for a score: every
-        effect is fitted to windows, and whole runs say which of them follow the data. What windows do not show, no
-        whole run of a shaft that mostly rests tells from a minimum beside the right one.
+        effect is fitted to windows, and whole runs say which of them follow the data. Of a shaft that mostly rests, no
+        whole run tells what windows do not show from a minimum beside the right one.
         """
         self.say("few logs: windows of 1 s, each effect alone")
         guide = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
         root = guide.declared(self.model, self.from_file)
-        if guide.reached(root.fit, 0.0):
+        if self.runs.mostly_rests and guide.reached(root.fit, 0.0):
             self.counts_alone = self.begun_anew = True
             return None
         beside, records = guide.beside(root), self.runs.records

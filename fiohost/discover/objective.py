@@ -145,12 +145,19 @@ class WholeRuns(Logs):
         return [Screen(state.fit, self.records)]
 
     def as_good(self, state: State, best: State) -> bool:
-        # Counts of whole runs err alike and do not average out; those of few hardly differ where a shaft rests.
-        return state.fit.cost <= self.settings.as_good * best.fit.cost or (self.few and self.only_counts(state))
+        # Counts of whole runs err alike and do not average out; of a shaft that mostly rests few are read at all.
+        at_rest = self.few and self.mostly_rests and self.only_counts(state)
+        return at_rest or state.fit.cost <= self.settings.as_good * best.fit.cost
 
     def only_counts(self, state: State) -> bool:
         """Whether nothing but the rounding to counts is left: no other structure could leave less."""
         return state.fit.rms <= self.most_of_counts
+
+    @property
+    def mostly_rests(self) -> bool:
+        """Whether the shaft stands still for most of the time: its readings then are few, each of them many times."""
+        moving = sum(float(r.weights @ r.weights) for r in self.records)
+        return moving < self.settings.mostly * sum(len(r) for r in self.records)
 
     def near_counts(self, state: State) -> bool:
         """Whether a fit may be on a ledge beside one that leaves nothing but the rounding to counts."""

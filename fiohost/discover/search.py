@@ -17,7 +17,7 @@ import numpy as np
 
 from fiohost.discover.belief import Belief
 from fiohost.discover.candidate import Candidate, Progress
-from fiohost.discover.evidence import Evidence, J, State
+from fiohost.discover.evidence import Beside, Evidence, J, State
 from fiohost.discover.nodes import Added, Child, Expanded, Node
 from fiohost.discover.null import Null
 from fiohost.discover.step import Found, Step, named_with

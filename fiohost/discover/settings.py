@@ -191,6 +191,8 @@ class SearchSettings:
     # A price, in deviance, on each rank that an effect is rarer than dry friction, a factor of 1.6 in prior odds: of
     # two that data tell apart by less than 7 the commonest wins over the rarest.
     rare: float = 1.0
+    # A shaft rests that moves for less than this share of the time, as readings weigh in a fit of whole runs.
+    mostly: float = 0.5
     # Of few logs, what leaves so many times the squared error of counts may be on a ledge beside one that leaves these.
     near_counts: float = 4.0
     # A fit is at its floor within this factor; beyond the second one gradients lead nowhere.
