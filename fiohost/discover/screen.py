@@ -74,7 +74,7 @@ def candidates(model: Model, records: Sequence[Record], library: Sequence[str] |
     names = effects() if library is None else library
     rotary = all(r.rotary and r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    trying = [e for e in chosen if e.tried(span)]
+    trying = [e for e in chosen if e.tried(span) and (e.measure_speed is None or any(r.kind != ANGLE for r in records))]
     return [e for e in trying if rotary or not e.angle_bound]
 
 

@@ -16,6 +16,7 @@ from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Excitation, Start, run, seen_angle, start_state
 from fiohost.motor.state import (
     BACKLASH,
+    FOLLOWING,
     GAIN,
     GAP,
     LOAD_OMEGA,
@@ -326,6 +327,7 @@ def moved(states: np.ndarray, thetas: np.ndarray, omegas: np.ndarray) -> np.ndar
     """States (m, STATE_SIZE) with other angles and speeds of the motor, its load with it."""
     found = states.copy()
     found[:, LOAD_THETA] += thetas - states[:, THETA]
-    found[:, LOAD_OMEGA] += omegas - states[:, OMEGA]
+    for following in (LOAD_OMEGA, *FOLLOWING):
+        found[:, following] += omegas - states[:, OMEGA]
     found[:, THETA], found[:, OMEGA] = thetas, omegas
     return found

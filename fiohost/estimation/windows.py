@@ -9,7 +9,7 @@ from __future__ import annotations
 from fiohost.motor.compiled import compiled, inlined
 from fiohost.motor.hooks import jumped, measure, measure_speed
 from fiohost.motor.kernel import simulate
-from fiohost.motor.state import LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
+from fiohost.motor.state import FOLLOWING, LOAD_OMEGA, LOAD_THETA, OMEGA, THETA
 
 ANGLE, SPEED, MEAN_SPEED = 0, 1, 2
 
@@ -29,10 +29,10 @@ def output(times, states, first, count, kind, seen, p, on, y):  # type: ignore[n
         if kind == ANGLE:
             y[i] = measure(states[i, seen], (), p, on)
         elif kind == SPEED or i == 0:
-            y[i] = measure_speed(states[i, rate], (), p, on)
+            y[i] = measure_speed(states[i, rate], (), states[i], 0, p, on)
         else:
             mean = (states[i, seen] - states[i - 1, seen]) / (times[first + i] - times[first + i - 1])
-            y[i] = measure_speed(mean, (), p, on)
+            y[i] = measure_speed(mean, (), states[i], 0, p, on)
 
 
 @compiled
@@ -63,6 +63,8 @@ def _move(state, base, shift, omega, p, on):  # type: ignore[no-untyped-def]
     state[LOAD_THETA] += shift
     state[LOAD_OMEGA] += omega - base[OMEGA]
     state[OMEGA] = omega
+    for slot in FOLLOWING:
+        state[slot] += omega - base[OMEGA]
 
 
 @inlined

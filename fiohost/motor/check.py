@@ -119,7 +119,7 @@ def _run(
     if any(part.measure is not None for part in model.parts()):
         angles = np.array([measure(float(angle), (), p, on) for angle in angles])
     if any(part.measure_speed is not None for part in model.parts()):
-        speeds = np.array([measure_speed(float(speed), (), p, on) for speed in speeds])
+        speeds = np.array([measure_speed(float(v), (), x, 0, p, on) for v, x in zip(speeds, states, strict=True)])
     return np.column_stack((angles, speeds))
 
 

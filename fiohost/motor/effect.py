@@ -42,7 +42,7 @@ In time, and at the sensor:
     of the effect's own state ``z``: the pair ``(source, decay)`` of ``dz/dt = source - decay z``, carried exactly.
 ``moment(q)``, ``delay(q)``
     a moment on the bench's clock at which the plant changes, and dead time, in seconds.
-``measure(theta_deg, q)``, ``measure_speed(omega_deg_s, q)``
+``measure(theta_deg, q)``, ``measure_speed(omega_deg_s, z, q)``
     the angle that the encoder shows, and the speed that a sensor of speed does.
 
 ``q`` are the effect's own parameters in their declared order. Hooks of an effect without ``substep_s`` depend on
@@ -193,7 +193,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "moment": ("q",),
     "delay": ("q",),
     "measure": ("theta_deg", "q"),
-    "measure_speed": ("omega_deg_s", "q"),
+    "measure_speed": ("omega_deg_s", "z", "q"),
 }
 
 

@@ -92,11 +92,11 @@ def any_of(*kinds: str, varying: bool = False) -> Any:
 command = _joined("command", "value args", "value = HOOK(value, *args, Q)")
 inertia = _joined("inertia", "value args", "value = HOOK(value, *args, Q)")
 measure = _joined("measure", "value args", "value = HOOK(value, *args, Q)")
-measure_speed = _joined("measure_speed", "value args", "value = HOOK(value, *args, Q)")
 voltage = _joined("voltage", "value args x shift", "value = HOOK(value, *args, OWN, Q)")
 resistance = _joined("resistance", "value args x shift", "value = HOOK(value, *args, OWN, Q)")
 friction = _joined("friction", "value args x shift", "value = HOOK(value, *args, OWN, Q)")
 bristle = _joined("bristle", "value args x shift", "value = HOOK(value, *args, OWN, Q)")
+measure_speed = _joined("measure_speed", "value args x shift", "value = HOOK(value, *args, OWN, Q)")
 # Hooks whose values are joined.
 drop = _joined("drop", "args", "value += HOOK(*args, Q)", "value = 0.0")
 torque = _joined("torque", "args", "value += HOOK(*args, Q)", "value = 0.0")

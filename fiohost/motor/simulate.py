@@ -17,6 +17,7 @@ from fiohost.motor.state import (
     BACKLASH,
     CONTACT,
     CURRENT,
+    FOLLOWING,
     GAP,
     LOAD_OMEGA,
     LOAD_THETA,
@@ -99,6 +100,7 @@ def start_state(start: Start, p: np.ndarray, on: np.ndarray) -> np.ndarray:
         state[THETA] += lead
     state[OMEGA] = start.speed
     state[WARMTH] = start.warmth
+    state[list(FOLLOWING)] = start.speed
     state[LOAD_OMEGA] = start.speed + start.drift
     state[CONTACT] = start.play if abs(start.play) == 1.0 and start.drift == 0.0 else 0.0
     return state

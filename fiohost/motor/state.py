@@ -12,6 +12,9 @@ STATE_SIZE = FIXED_STATES + len(OWN)
 # States that say how warm something is, 0 to 1.
 WARMTH = [slot for name, slot in OWN.items() if effects()[name].warms]
 
+# States of a sensor that follow the speed of the motor.
+FOLLOWING = tuple(slot for name, slot in OWN.items() if effects()[name].measure_speed is not None)
+
 # Behind the state: the effects' own at the middle of a step, then exponentials, as most steps are as long as the one
 # before: those of a whole step, of half a step, and of a part.
 MIDDLE = len(OWN)

@@ -18,7 +18,7 @@ def harmonics(theta_deg, q):  # type: ignore[no-untyped-def]
     return shown
 
 
-def unsigned(omega_deg_s, q):  # type: ignore[no-untyped-def]
+def unsigned(omega_deg_s, z, q):  # type: ignore[no-untyped-def]
     return omega_deg_s + q[0] * (abs(omega_deg_s) - omega_deg_s)
 
 
