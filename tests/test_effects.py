@@ -40,7 +40,8 @@ def test_the_shipped_limits_are_of_every_effect_in_the_shipped_suite() -> None:
     without = {x.effect for x in MEASURED.limits if x.value is None}
     assert without == {
         "linear", "missed_counts", "asymmetric_coulomb_friction", "fast_decay", "hard_stop", "coast_pwm",
-        "clock_ripple", "load_over_position", "friction_over_position", "shaft_angle_error", "unsigned_speed",
+        "clock_ripple", "load_over_position", "friction_over_position", "shaft_angle_error", "speed_filter",
+        "unsigned_speed",
     }  # fmt: skip
 
 

@@ -18,8 +18,8 @@ EFFECTS = (
     Effect(
         name="speed_filter",
         summary="speed that a filter smooths before it is logged",
-        equation="time_constant * d(reading)/dt = omega - reading; a mean that keeps a share b of itself from row to row "
-        "has time_constant = -row time / ln b",
+        equation="time_constant * d(reading)/dt = omega - reading; an average that keeps a share b of itself from each "
+        "step of its loop to the next has time_constant = -step / ln b",
         acts_on="measurement",
         stage=-10,
         substep_s=0.002,
