@@ -119,10 +119,13 @@ class Ladder:
             return of[0], self.runs.settled(thorough_fit(fitted, of[0], records))
 
         whole = sorted(each(as_whole, beside.each_alone(offered)), key=lambda w: w[1].deviance)
-        for i, (effect, state) in enumerate(whole[: SETTINGS.finalists_in_windows]):
-            if not self.runs.only_counts(state) and (i == 0 or self.runs.near_counts(state)):
-                whole[i] = effect, self.runs.finished(state)
-        led = self.whole.alone(self.root, whole)
+        near = whole[:1] + [w for w in whole[1:] if self.runs.near_counts(w[1])]
+        near.sort(key=lambda w: bool(w[0].points))
+        for i, (effect, state) in enumerate(near[: SETTINGS.finalists_in_windows]):
+            named = any(self.runs.only_counts(s) for _, s in near[:i])
+            if not (self.runs.only_counts(state) or (effect.points and named)):
+                near[i] = effect, self.runs.finished(state)
+        led = self.whole.alone(self.root, near)
         return self.whole.found(self.root, led) if led else None
 
     def _by_plain_windows(self) -> Found[Stage] | None:

@@ -50,6 +50,7 @@ class Logs(Evidence[Stage]):
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
         # What was got off its ledge when it was asked whether it is confirmed.
         self._off: WeakKeyDictionary[State, State] = WeakKeyDictionary()
+        self._finished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
 
     @property
     def few(self) -> bool:
@@ -164,7 +165,10 @@ class WholeRuns(Logs):
         return state.fit.rms**2 <= self.settings.near_counts * self.most_of_counts**2
 
     def finished(self, state: State) -> State:
-        return self._off_ledges(self._off.get(state, state), self.rng)
+        if state not in self._finished:
+            found = self._off_ledges(self._off.get(state, state), self.rng)
+            self._finished[state] = self._finished[found] = found
+        return self._finished[state]
 
     def _off_ledges(self, state: State, rng: np.random.Generator) -> State:
         """A state with its non-smooth parameters searched again, and got out of a local minimum."""

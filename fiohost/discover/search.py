@@ -187,23 +187,29 @@ class Search(Generic[J]):
             return
         found = beside.refitted(offered, self.say, rival=rival.state if rival else None)
         self.told += beside.passed_over()
-        yield from self.believed(node, beside, found, self.settings.beam)
+        accepted, null = self.believed(node, beside, found)
+        for c in accepted[: self.settings.beam]:
+            yield self.grown(node, c, accepted, null.of(c.name))
 
     def alone(self, node: Node, found: Sequence[tuple[Effect, State]]) -> Node | None:
-        """The node with that one of some effects, each fitted alone, which explains the data, or None."""
-        beside = self.evidence.beside(node.state)
-        self.told = []
-        return next((grown for grown in self.believed(node, beside, found, len(found)) if self.explains(grown)), None)
-
-    def believed(self, node: Node, beside: Beside, found: Sequence[tuple[Effect, State]], most: int) -> Iterator[Node]:
-        """The nodes with one more of the effects ``found`` beside a node that is believed, the best first, so many at
-        ``most``.
+        """The node with that one of some effects, each fitted alone, which explains the data, or None. A general curve
+        holds what others say and takes up some of the counts: it comes after them.
         """
+        self.told = []
+        accepted, null = self.believed(node, self.evidence.beside(node.state), found)
+        for c in sorted(accepted, key=lambda c: bool(c.effect.points)):
+            grown = self.grown(node, c, accepted, null.of(c.name))
+            if self.explains(grown):
+                return grown
+        return None
+
+    def believed(self, node: Node, beside: Beside, found: Sequence[tuple[Effect, State]]) -> tuple[list[Child], Null]:
+        """Of the effects ``found`` beside a node those that are believed, the best first, and what chance reaches."""
         children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
         if not children:
             node.far = True
-            return
+            return [], Null(0.0, {}, ())
         null = beside.null(children[0].state, lambda null: not any(self.belief.close(c, null) for c in children))
         whys = each(lambda c: self.belief.objection(node, c, null), children)
         accepted = self.belief.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
@@ -214,8 +220,7 @@ class Search(Generic[J]):
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))
             for c, why in zip(children, whys, strict=True)
         ]
-        for c in accepted[:most]:
-            yield self.grown(node, c, accepted, null.of(c.name))
+        return accepted, null
 
     def expanded(self, node: Node) -> Iterator[Node]:
         """Those nodes as they were found when the same structure was asked for them, unless it does better now."""
