@@ -31,11 +31,12 @@ class Belief(Generic[J]):
         commonest.
         """
         order: list[Ranked] = sorted(items, key=lambda i: i.price)
-        if order:
-            least = min(order, key=lambda i: i.state.deviance)
-            equal = [i for i in order if self.evidence.as_good(i.state, least.state)]
-            order = [*sorted(equal, key=lambda i: i.simplicity), *(i for i in order if i not in equal)]
-        return order
+        least = min(order, key=lambda i: i.state.deviance, default=None)
+        if least is None:
+            return order
+        equal: list[Ranked] = [i for i in order if self.evidence.as_good(i.state, least.state)]
+        others: list[Ranked] = [i for i in order if i not in equal]
+        return sorted(equal, key=lambda i: i.simplicity) + others
 
     def surely(self, node: Node, child: Child) -> bool:
         """Whether left-out data gain by a candidate what is worth a name, be it this one or another."""
