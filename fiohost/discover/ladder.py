@@ -149,7 +149,7 @@ class Ladder:
     def _by_weighed_windows(self) -> Found[Stage]:
         """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""
         self.say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
-        search = self._in_windows(self.windows, self.named)
+        search = self._in_windows(self.windows, [] if self.counts_alone else self.named)
         begun = search.declared(self.model, self.from_file)
         seen = search.run(begun)
         led = seen.added or (self.runs.few and not self.counts_alone)
