@@ -51,6 +51,13 @@ def test_a_held_out_table_has_the_full_scale_of_those_that_are_fitted(tmp_path: 
     assert read_any([held])[0].metadata["full_scale"] == "18"
 
 
+def test_a_command_has_one_full_scale_though_other_columns_differ(tmp_path: Path) -> None:
+    far, near = in_volts(tmp_path / "a.csv", 21.0), in_volts(tmp_path / "b.csv", 17.0)
+    head, *rows = near.read_text().splitlines()
+    near.write_text("\n".join([f"{head},temperature [C]", *(f"{row},20" for row in rows)]) + "\n")
+    assert [log.metadata["full_scale"] for log in read_any([far, near])] == ["24", "24"]
+
+
 def test_what_one_table_does_not_show_of_the_sensor_another_does(tmp_path: Path) -> None:
     around, within = in_volts(tmp_path / "a.csv", 12.0), in_volts(tmp_path / "b.csv", 12.0, step=0.0)
     within.write_text("t [s],u [V],angle [deg]\n" + "".join(f"{i / 100},3,{40 * (i % 2)}\n" for i in range(90)))

@@ -38,8 +38,8 @@ def says_it_is_a_log(path: Path) -> bool:
 
 
 def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None) -> list[Log]:
-    """Logs of files, of pandas' frames and of logs. Tables of the same columns are understood together, so that the
-    command has one scale in all of them and the sensor is one. Raises FiohostError.
+    """Logs of files, of pandas' frames and of logs. Tables are understood together, so that a command has one scale in
+    all that have it, and tables of the same columns have one sensor. Raises FiohostError.
     """
     read: list[Log | RawTable] = [_open(source) for source in sources]
     if answers is not None and answers != Answers() and read and all(isinstance(one, Log) for one in read):
@@ -49,9 +49,7 @@ def read_any(sources: Sequence[Path | Log | Any], answers: Answers | None = None
         if isinstance(one, Log):
             found.append(one)
             continue
-        others = [
-            other for other in read if isinstance(other, RawTable) and other is not one and other.names == one.names
-        ]
+        others = [other for other in read if isinstance(other, RawTable) and other is not one]
         told = understand(one, answers, others)
         found.append(log_from_raw(one, told.certain, told.sentences))
     return found

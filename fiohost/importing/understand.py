@@ -63,7 +63,8 @@ class Understanding:
 
 
 def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[RawTable] = ()) -> Understanding:
-    """Find out what *raw* is. *others* are tables of the same columns: command and sensor are one for all of them.
+    """Find out what *raw* is. *others* are further tables of the bench: a command of the same name has one scale in all
+    of them, and those of the same columns have one sensor.
 
     Raises ConfigError for an answer that does not fit the table.
     """
@@ -87,7 +88,8 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     command = _command(raw, heads, answers, found, output)
     if output is None or command is None or clock is None:
         return _done(raw, None, found, answers)
-    sensor = sensor_of(raw, output, _columns(output, others), answers, found)
+    alike = [other for other in others if other.names == raw.names]
+    sensor = sensor_of(raw, output, _columns(output, alike), answers, found)
     scale = _scale(raw, command, _columns(command, others), heads, answers, found)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
@@ -224,8 +226,8 @@ def _command(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Foun
 
 
 def _columns(head: Head, others: Sequence[RawTable]) -> list[RawColumn]:
-    """A column in all tables of a bench."""
-    same = [other.column(head.column.name) for other in others]
+    """A column in all tables of a bench that have it."""
+    same = [other.column(head.column.name) for other in others if head.column.name in other.names]
     return [head.column, *(c for c in same if c.kind == head.column.kind)]
 
 
