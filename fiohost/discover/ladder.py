@@ -64,7 +64,7 @@ class Ladder:
         self.hardly = [n for n in names if n in hardly and n not in self.general]
         self.exact = not (any(r.broken for r in train) or noisy_sensor(train))
         self.begun_anew = not self.exact
-        # Whether few logs, of a shaft that mostly rests, show nothing but counts in windows.
+        # Whether few logs, of a shaft that mostly rests, show nothing but counts in windows, and little more whole.
         self.counts_alone = False
         self.windows = WeighedWindows(train, np.random.default_rng(NOISE_SEED))
         self.runs = WholeRuns(train, rng)
@@ -108,7 +108,8 @@ class Ladder:
         self.say("few logs: windows of 1 s, each effect alone")
         guide = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
         root = guide.declared(self.model, self.from_file)
-        if self.runs.mostly_rests and guide.reached(root.fit, 0.0):
+        near_counts = guide.reached(root.fit, 0.0) and self.runs.near_counts(self.root.state)
+        if self.runs.mostly_rests and near_counts:
             self.counts_alone = self.begun_anew = True
             return None
         beside, records = guide.beside(root), self.runs.records
