@@ -34,6 +34,7 @@ def run(task: Task) -> Row:
     from fiohost.bench.experiment import Experiment
     from fiohost.bench.loop import Bench
     from fiohost.circle.evidence import diagnose
+    from fiohost.errors import FiohostError
     from fiohost.transport.profile import TargetProfile
     from fiohost.transport.simulated import SimulatedTransport
     from firmware_model import Board
@@ -41,10 +42,13 @@ def run(task: Task) -> Row:
     name, truth, first = task
     for seed in range(first, first + TRIES):
         board = Board(make_case(seed, truth).plant, seed=seed)
-        with Bench(SimulatedTransport(board.step, "sim:sealed", "simulated"), TargetProfile.load()) as bench:
-            log = bench.run(Experiment.load(name))
-        if not truth or clarity([log]) >= CLEAR:
-            break
+        try:
+            with Bench(SimulatedTransport(board.step, "sim:sealed", "simulated"), TargetProfile.load()) as bench:
+                log = bench.run(Experiment.load(name))
+            if not truth or clarity([log]) >= CLEAR:
+                break
+        except FiohostError:  # a shaft that is held ends the run, one that never moves cannot be fitted
+            continue
     else:
         return {"experiment": name, "truth": list(truth), "seed": first, "drawn": False}
     cpu = time.process_time()
