@@ -124,7 +124,8 @@ class Ladder:
         near.sort(key=lambda w: bool(w[0].points))
         for i, (effect, state) in enumerate(near[: SETTINGS.finalists_in_windows]):
             named = any(self.runs.only_counts(s) for _, s in near[:i])
-            if not (self.runs.only_counts(state) or (effect.points and named)):
+            as_it_is = self.runs.only_counts(state) and self.runs.mostly_rests
+            if not (as_it_is or (effect.points and named)):
                 near[i] = effect, self.runs.finished(state)
         led = self.whole.alone(self.root, near)
         return self.whole.found(self.root, led) if led else None
