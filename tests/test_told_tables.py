@@ -107,6 +107,12 @@ def test_an_answer_beside_a_map_and_one_that_is_no_number_are_refused(command: s
     assert (wrong.exit_code, "--counts-per-rev 'many' is not a number" in wrong.stderr) == (1, True)
 
 
+def test_readings_refuse_what_is_said_of_tables_by_its_name(tmp_path: Path) -> None:
+    refused = call("diagnose", "--readings", tmp_path / "r.toml", "--full-scale", "3")
+    assert refused.exit_code == 1
+    assert "--full-scale does not go with --readings" in refused.stderr
+
+
 def test_of_a_log_that_says_what_it_is_nothing_is_to_be_told(tmp_path: Path) -> None:
     log = tmp_path / "run.csv"
     log.write_text("# schema: fiohost.log/1\ntime_s,duty_pct,angle_deg\n0,1,0\n0.1,1,0\n0.2,1,0\n")

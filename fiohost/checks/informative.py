@@ -24,7 +24,7 @@ LEAST_SLOW_S, LEAST_BRAKING_S = 1.0, 0.2
 @dataclass(frozen=True)
 class Limit:
     """Effects that the data cannot show, or (``apart``) cannot tell from one another, and why; they ``hardly`` show
-    where there is little of what shows them, and none of what would look like them.
+    where there is little of what shows them.
     """
 
     effects: tuple[str, ...]
@@ -70,7 +70,7 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: "no angle is measured: what belongs to a place on the turn cannot be assigned to it",
     ),
 )
-# Little shows these, but nothing else that there is need look like them.
+# Little shows these; whole runs of few logs may still tell them, with what they look like there.
 HARDLY_SHOW: Sequence[Rule] = (
     (
         TURNING,

@@ -96,7 +96,7 @@ def diagnose(
     if not logs and not readings:
         raise click.UsageError("Missing argument 'LOG...', or --readings FILE.")
     if readings:
-        of_logs = {"LOG": logs, "--holdout": holdout, "--map": told, "--limits": limits, "--constants": constants}
+        of_logs = {"LOG": logs, "--holdout": holdout, told.option: told, "--limits": limits, "--constants": constants}
         _refuse_with_readings(of_logs)
         _diagnose_readings(readings, model, json_to, save_model, report, seed)
         return

@@ -39,6 +39,11 @@ class Told:
         return self.table_map is not None or any(text is not None for text in self.texts)
 
     @property
+    def option(self) -> str:
+        """The first answer that was given, as it is written; without one that of a map."""
+        return next((o for (o, _, _), text in zip(OPTIONS, self.texts, strict=True) if text is not None), "--map")
+
+    @property
     def answers(self) -> Answers:
         """Raises ConfigError for a number that is none, and beside a map."""
         from fiohost.importing.found import Answers
