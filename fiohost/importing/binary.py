@@ -6,6 +6,7 @@ import hashlib
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +16,6 @@ from fiohost import files
 from fiohost.errors import ConfigError, LogError
 from fiohost.importing.raw import (
     MAX_BYTES,
-    NUMBER,
     TEXT,
     TIME,
     FloatArray,
@@ -64,13 +64,14 @@ def read_hdf5(path: Path) -> RawTable:
             return
         if item.dtype.kind == "O" or item.size is None:  # an empty one has no size
             return
+        name = name.replace("/", ".")
         sizes.append(item.size * item.dtype.itemsize)
         _check_unpacked(path, sum(sizes))
         unit = next((item.attrs[k] for k in ("units", "unit", "Unit", "Units") if k in item.attrs), "")
         values = item[()]
         if values.dtype.names:
             for field in values.dtype.names:
-                found[f"{name}/{field}"] = values[field]
+                found[f"{name}.{field}"] = values[field]
             return
         if values.ndim == 2 and min(values.shape) == 1:
             values = values.ravel()  # MATLAB's vectors
@@ -204,33 +205,28 @@ def _table(
     told = {**{k: "" for k in vectors}, **(units or {})}
     columns = []
     for (key, values), name in zip(vectors.items(), names, strict=True):
-        found, kind, begins = _numbers(values)
-        columns.append(
-            RawColumn(
-                name, found, told.get(key, ""), kind, missing=_missing(found) if kind != TEXT else None, begins=begins
-            )
-        )
+        column = replace(_column(values), name=name, unit=told.get(key, ""))
+        columns.append(column if column.kind == TEXT else replace(column, missing=_missing(column.values)))
     if not sha256:
         sha256 = hashlib.sha256(data).hexdigest()
     return RawTable(path, sha256, tuple(columns), form, (), tuple(notes))
 
 
-def _numbers(values: np.ndarray[Any, Any]) -> tuple[FloatArray, str, str]:
-    """Any vector as numbers, what they are, and of dates the first; times in seconds from the first."""
+def _column(values: np.ndarray[Any, Any]) -> RawColumn:
+    """Any vector as a column without a name."""
     if values.dtype.kind in "mM":
         known = values[~np.isnat(values)]
         first = known.min() if known.size else values[0]
         since = values - first if values.dtype.kind == "M" else values
         seconds = since.astype("timedelta64[ns]").astype(np.float64) * 1e-9
         begins = str(first.astype("datetime64[us]")) if values.dtype.kind == "M" and known.size else ""
-        return np.where(np.isnat(values), np.nan, seconds), TIME, begins
+        return RawColumn("", np.where(np.isnat(values), np.nan, seconds), kind=TIME, begins=begins)
     if values.dtype.kind in "USO":
         from fiohost.importing.cells import column_of
 
         texts = ["" if v is None or (isinstance(v, float) and np.isnan(v)) else str(v).strip() for v in values.tolist()]
-        column = column_of("", "", texts, False, range(len(texts)))
-        return column.values, column.kind, column.begins
-    return within_reason(values.astype(np.float64)), NUMBER, ""
+        return replace(column_of("", "", texts, False, range(len(texts))), bad=None)
+    return RawColumn("", within_reason(values.astype(np.float64)))
 
 
 def _missing(values: FloatArray) -> tuple[int, str] | None:
@@ -240,7 +236,7 @@ def _missing(values: FloatArray) -> tuple[int, str] | None:
 
 def _short_names(names: list[str]) -> list[str]:
     """Names without what all of them begin with, such as the structure or group that holds them."""
-    parts = [name.replace("/", ".").split(".") for name in names]
+    parts = [name.split(".") for name in names]
     while len(parts) > 1 and all(len(p) > 1 for p in parts) and len({p[0] for p in parts}) == 1:
         parts = [p[1:] for p in parts]
     if len(parts) == 1:

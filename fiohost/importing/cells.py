@@ -17,6 +17,7 @@ MISSING = frozenset(
 MOSTLY = 0.9  # share of a column's cells that make it one of numbers, the rest being wrong cells
 DAY_S = 86_400.0
 LOOKED_AT = 200  # cells that tell whether a column is one of times
+FEW_WORDS = 8  # different cells of a column of text that are kept
 LONGEST = 80  # characters of a number with its unit; the patterns take long over a long cell that nearly fits
 
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
@@ -104,7 +105,12 @@ def column_of(name: str, unit: str, cells: Sequence[str], comma: bool, lines: Se
     numbers = sum(value is not None for value in found)
     if numbers == 0 or (len(wrong) > 1 and len(wrong) > (1.0 - MOSTLY) * len(cells)):
         at = wrong[0] if wrong else 0
-        return RawColumn(name, np.full(len(cells), math.nan), unit, TEXT, (lines[at], cells[at]) if cells else None)
+        bad = (lines[at], cells[at]) if cells else None
+        words = tuple(sorted(set(cells)))
+        if len(words) <= FEW_WORDS and max(map(len, words), default=0) <= LONGEST:
+            places = {word: float(i) for i, word in enumerate(words)}
+            return RawColumn(name, np.array([places[cell] for cell in cells]), unit, TEXT, bad, words=words)
+        return RawColumn(name, np.full(len(cells), math.nan), unit, TEXT, bad)
     if not unit:
         behind = {unit_behind(cell) for cell in cells[:200] if not is_missing(cell)}
         unit = behind.pop() if len(behind) == 1 else ""

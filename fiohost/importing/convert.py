@@ -13,6 +13,7 @@ from fiohost.bench.log import IMPORTED, Log
 from fiohost.bench.table_log import log_text, write_log
 from fiohost.errors import DataError, LogError
 from fiohost.files import Output
+from fiohost.importing.direction import Direction
 from fiohost.importing.map import REFUSE, TableMap
 from fiohost.importing.raw import MAX_NUMBER, NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
@@ -59,7 +60,11 @@ def _convert(
 ) -> tuple[dict[str, FloatArray], dict[str, str], tuple[str, ...]]:
     """The log's columns and metadata, and notes on what was dropped or is doubtful (missing ticks the log notes)."""
     notes = list(raw.notes)
-    columns = {name: _checked(raw.column(name), raw, table_map) for name in table_map.columns}
+    direction = table_map.direction
+    way = direction.column if direction else None
+    columns = {name: _checked(raw.column(name), raw, table_map) for name in table_map.columns if name != way}
+    if direction is not None:
+        columns[direction.column] = _ways(raw.column(direction.column), direction, raw, table_map)
     keep = np.all([np.isfinite(values) for values in columns.values()], axis=0)
     if not keep.all():
         gone = int(np.count_nonzero(~keep))
@@ -145,6 +150,19 @@ def _checked(column: RawColumn, raw: RawTable, table_map: TableMap) -> FloatArra
     return column.values
 
 
+def _ways(column: RawColumn, direction: Direction, raw: RawTable, table_map: TableMap) -> FloatArray:
+    """Which way the command is, NaN where the cell is empty. Raises LogError and DataError where the column does not
+    say it.
+    """
+    if column.kind == TEXT and not column.words:
+        raise DataError(f"{raw.path}: column {column.name!r} has too many different words: it is no direction")
+    values = column.values if column.kind == TEXT else _checked(column, raw, table_map)
+    both = direction.forward is not None and direction.backward is not None
+    if column.kind != TEXT and not both and len(np.unique(values[np.isfinite(values)])) > 2:
+        raise DataError(f"{raw.path}: column {column.name!r} has more than two values: it is no direction")
+    return np.where(np.isfinite(values), direction.ways(column), np.nan)
+
+
 def signed_by(speed: FloatArray, command: FloatArray) -> FloatArray:
     """A speed without sign with that of the command, shape (rows,): it turns at the slowest row after each reversal."""
     known = np.flatnonzero(command)
@@ -184,10 +202,7 @@ def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: 
     )
     duty_pct = command * table_map.command_scale
     if table_map.sign_column is not None:
-        way = columns[table_map.sign_column]
-        if len(np.unique(way)) > 2:
-            raise DataError(f"{path}: column {table_map.sign_column!r} has more than two values: it is no direction")
-        duty_pct = with_direction(duty_pct, way, table_map.forward)
+        duty_pct = duty_pct * columns[table_map.sign_column]
     largest = float(np.abs(duty_pct).max())
     if largest > 100.0 + DUTY_TOLERANCE_PCT:
         raise DataError(
@@ -195,11 +210,6 @@ def _duty(columns: dict[str, FloatArray], rows: int, table_map: TableMap, path: 
             "does not turn it into percent"
         )
     return np.clip(duty_pct, -100.0, 100.0)
-
-
-def with_direction(magnitude: FloatArray, way: FloatArray, forward: float) -> FloatArray:
-    """A command without sign, shape (rows,), with that of a column of two values, of which *forward* is one."""
-    return np.where(way == forward, magnitude, -magnitude)
 
 
 def _unwrap(values: FloatArray, wrap: float) -> tuple[FloatArray, str]:

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from fiohost.importing.direction import Direction, Value
 from fiohost.importing.units import MAP_UNITS
 from fiohost.settings import Table, find_config, read_toml
 
@@ -47,8 +48,9 @@ class TableMap:
     command_scale: float = 1.0  # to percent of full scale
     full_scale_V: float = 0.0  # 0: the scale is told
     command_unit: str = ""  # unit of the command in the table, for people; "" where not said
-    sign_column: str | None = None  # of two values, where the command has no sign: one is forward
-    forward: float = 1.0  # that value
+    sign_column: str | None = None  # of few values, where the command has no sign: which of them is forward
+    forward: Value | None = 1.0
+    backward: Value | None = None  # every other value, but words for standing still
     delay_ticks: int = 0
     pwm_hz: float = 0.0  # of the bridge, 0 where it is not known
     output_scale: float = 1.0
@@ -95,9 +97,12 @@ class TableMap:
         command_scale = _nonzero(command, "scale", command.number("scale", 1.0))
         command_unit = command.text("unit", "V" if full_scale_V else "")
         sign_column = command.text("sign_column") if "sign_column" in command else None
-        if "forward" in command and sign_column is None:
-            raise command.fail("forward is a value of the sign_column, which is not given")
-        forward = command.number("forward", 1.0)
+        forward, backward = (_value(command, key) for key in ("forward", "backward"))
+        if sign_column is None and not (forward is None and backward is None):
+            raise command.fail("forward and backward are values of the sign_column, which is not given")
+        if forward is not None and forward == backward:
+            raise command.fail("forward and backward are the same value")
+        forward = 1.0 if forward is None and backward is None else forward
         delay_ticks = command.integer("delay_ticks", 0, low=0, high=10_000)
         pwm_hz = command.number("pwm_hz", low=10.0, high=1e6) if "pwm_hz" in command else 0.0
         command.finish()
@@ -136,7 +141,8 @@ class TableMap:
             time_column=time_column, time_scale=time_scale, time_wrap=time_wrap, sample_time_s=sample_time_s,
             command_column=command_column, constant_command=constant,
             command_scale=100.0 / full_scale_V if full_scale_V else command_scale, full_scale_V=full_scale_V,
-            command_unit=command_unit, sign_column=sign_column, forward=forward, delay_ticks=delay_ticks, pwm_hz=pwm_hz,
+            command_unit=command_unit, sign_column=sign_column, forward=forward, backward=backward,
+            delay_ticks=delay_ticks, pwm_hz=pwm_hz,
             output_column=output_column, unit=unit, output_scale=output_scale, output_offset=output_offset,
             signed=signed, average=average, quantum=quantum, wrap=wrap, counts_per_rev=counts_per_rev,
             common_zero=common_zero, noise_rms=noise_rms,
@@ -161,6 +167,11 @@ class TableMap:
     def output_factor(self) -> float:
         """From the map's unit to the log's."""
         return 360.0 / self.turn if self.turn else MAP_UNITS[self.unit][2]
+
+    @property
+    def direction(self) -> Direction | None:
+        """What says which way the command is, where it has no sign."""
+        return None if self.sign_column is None else Direction(self.sign_column, self.forward, self.backward)
 
     @property
     def columns(self) -> list[str]:
@@ -190,7 +201,9 @@ class TableMap:
         lines += [f"unit = {_quoted(self.command_unit)}"] if self.command_unit else []
         lines += [f"full_scale_V = {self.full_scale_V!r}" if self.full_scale_V else f"scale = {self.command_scale!r}"]
         if self.sign_column is not None:
-            lines += [f"sign_column = {_quoted(self.sign_column)}", f"forward = {self.forward!r}"]
+            lines += [f"sign_column = {_quoted(self.sign_column)}"]
+            sides = (("forward", self.forward), ("backward", self.backward))
+            lines += [f"{key} = {_quoted(v) if isinstance(v, str) else repr(v)}" for key, v in sides if v is not None]
         lines += [f"delay_ticks = {self.delay_ticks}"]
         lines += [f"pwm_hz = {self.pwm_hz!r}"] if self.pwm_hz else []
         lines += ["", "[output]", f"column = {_quoted(self.output_column)}", f'quantity = "{self.quantity}"']
@@ -212,6 +225,13 @@ class TableMap:
                 f"scale = {one.scale!r}",
             ]
         return "\n".join(lines) + "\n"
+
+
+def _value(table: Table, key: str) -> Value | None:
+    """A number or a text, None where there is none."""
+    if key not in table:
+        return None
+    return table.text(key) if isinstance(table.raw(key), str) else table.number(key)
 
 
 def _beside(table: Table) -> Beside:

@@ -27,7 +27,8 @@ class RawColumn:
     """One column, shape (rows,): numbers, NaN where a cell is missing; of TIME seconds from the first, of TEXT all NaN.
 
     ``unit`` is the text of the unit as it stands in the table, "" where there is none. ``bad`` is the first cell that
-    is neither a number nor missing, and its line.
+    is neither a number nor missing, and its line. Of TEXT with few different cells these are its ``words``, and
+    ``values`` are their places among them.
     """
 
     name: str
@@ -37,6 +38,7 @@ class RawColumn:
     bad: tuple[int, str] | None = None
     missing: tuple[int, str] | None = None  # the first missing cell and its line
     begins: str = ""  # of times with a date: the first, as ISO 8601
+    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from fiohost.files import shortened
 from fiohost.importing import roles
 from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
-from fiohost.importing.convert import with_direction
-from fiohost.importing.direction import direction_of
+from fiohost.importing.direction import Driven, direction_of
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
 from fiohost.importing.raw import TEXT, FloatArray, RawColumn, RawTable
@@ -93,21 +92,22 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     scale = _scale(raw, command, _columns(command, others), heads, answers, found)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
-    duty, speed = _duty_and_speed(command, output, sensor, scale)
-    direction = direction_of(heads, duty, speed, found)
+    driven = [_driven(table, command, output, sensor, scale) for table in (raw, *alike)]
+    duty, speed = driven[0].duty, driven[0].speed
+    direction = direction_of(driven, found)
     if direction is not None:
-        duty = with_direction(duty, raw.column(direction[0]).values, direction[1])
+        duty = duty * direction.ways(raw.column(direction.column))
     signed = _signs(raw, command, output, sensor, duty, speed, found)
     beside = _beside(heads, found)
     needed = [c for c in (clock.column, command.column.name, output.column.name, *(b.column for b in beside)) if c]
-    needed += [direction[0]] if direction else []
+    needed += [direction.column] if direction else []
     missing = any(raw.column(name).missing for name in needed)
     table_map = replace(
         sensor, name="found", time_column=clock.column, time_scale=clock.scale, time_wrap=clock.wrap,
         sample_time_s=clock.sample_time_s, command_column=command.column.name, command_scale=scale.scale,
         full_scale_V=scale.full_scale_V, command_unit=scale.unit, signed=signed, beside=beside,
-        sign_column=direction[0] if direction else None, forward=direction[1] if direction else 1.0,
-        missing=LEAVE_OUT if missing else REFUSE,
+        sign_column=direction.column if direction else None, forward=direction.forward if direction else 1.0,
+        backward=direction.backward if direction else None, missing=LEAVE_OUT if missing else REFUSE,
     )  # fmt: skip
     unused = [name for name in raw.names if name not in found.used]
     if unused:
@@ -247,13 +247,13 @@ def _scale(
     return scale
 
 
-def _duty_and_speed(command: Head, output: Head, sensor: TableMap, scale: Scale) -> tuple[FloatArray, FloatArray]:
-    """Command in percent and speed in any unit, each (rows,)."""
-    duty = command.column.values * scale.scale
-    values = output.column.values * sensor.output_scale
+def _driven(table: RawTable, command: Head, output: Head, sensor: TableMap, scale: Scale) -> Driven:
+    """Command and speed of a table, by the columns of one that is like it."""
+    duty = table.column(command.column.name).values * scale.scale
+    values = table.column(output.column.name).values * sensor.output_scale
     if sensor.wrap:
         values = np.unwrap(np.nan_to_num(values), period=sensor.wrap)
-    return duty, values if sensor.quantity == "speed" else np.gradient(values)
+    return Driven(table, duty, values if sensor.quantity == "speed" or len(values) < 2 else np.gradient(values))
 
 
 def _signs(
