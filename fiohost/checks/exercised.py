@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from fiohost.checks.counts import quantum_of
 from fiohost.checks.said import Said
-from fiohost.estimation.record import ANGLE, SMOOTH_S, Record
+from fiohost.estimation.record import ANGLE, SMOOTH_S, Record, overlapping
 
 # A shaft stands where its reading stays for so long, and has moved where it left by more grains than one flicker.
 STANDS_S, STANDS_SAMPLES = 0.1, 5
@@ -29,7 +29,8 @@ class Exercised:
     """What a set of logs went through; speeds in the output's unit per second, shares of no unit.
 
     ``useful_hz`` is the highest frequency at which the movement stands above the counts, None where it cannot be told.
-    ``turns`` are whole revolutions covered between the ends of travel, None where no angle is measured.
+    ``turns`` are whole revolutions covered between the ends of travel, None where no angle is measured. Logs that are
+    ``overlapping`` on the bench's own time do not say when they were begun.
     """
 
     logs: int
@@ -52,6 +53,7 @@ class Exercised:
     both_directions: bool
     closed_loop_only: bool
     saturated_pct: float
+    overlapping: bool
 
 
 @dataclass(frozen=True)
@@ -190,4 +192,5 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
         both_directions=bool(np.any(speed[runs] > 0) and np.any(speed[runs] < 0)),
         closed_loop_only=bool(reference) and all(reference),
         saturated_pct=float(100.0 * np.mean(np.abs(duty) >= 100.0 - 1e-6)),
+        overlapping=overlapping(records),
     )

@@ -69,6 +69,11 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: not d.angle,
         lambda d: "no angle is measured: what belongs to a place on the turn cannot be assigned to it",
     ),
+    (
+        ("parameter_change",),
+        lambda d: d.overlapping,
+        lambda d: "they do not say when they were begun: what happens once happens in one of them",
+    ),
 )
 # Little shows these; whole runs of few logs may still tell them, with what they look like there.
 HARDLY_SHOW: Sequence[Rule] = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -362,3 +363,9 @@ def with_bench(records: Sequence[Record]) -> list[Record]:
     if all(r.own_zero for r in found):
         found[0] = replace(found[0], own_zero=False)
     return found
+
+
+def overlapping(records: Sequence[Record]) -> bool:
+    """Whether two records share half of the shorter one's time on their bench: they do not say when they were begun."""
+    spans = sorted((r.excitation.clock_s, r.excitation.clock_s + r.seconds) for r in records)
+    return any(end - begin > 0.5 * min(end - start, until - begin) for (start, end), (begin, until) in pairwise(spans))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -26,10 +26,16 @@ TURN_PATTERNS = (
 
 
 def sensor_of(
-    raw: RawTable, output: Head, columns: Sequence[RawColumn], answers: Answers, found: Found
+    raw: RawTable,
+    output: Head,
+    columns: Sequence[RawColumn],
+    answers: Answers,
+    found: Found,
+    by_speed: Callable[[float], tuple[float, str] | None] = lambda wrap: None,
 ) -> TableMap | None:
     """The part of the map that is the output's; *columns* are its column in all tables of a bench: its sensor is one,
-    and what one table does not show another may.
+    and what one table does not show another may. *by_speed* gives the counts of a turn that a speed beside them
+    tells, by where the counter begins anew.
     """
     column = output.column
     values = np.concatenate([c.values[np.isfinite(c.values)] for c in columns])
@@ -46,6 +52,10 @@ def sensor_of(
     turn = 0.0
     if unit in ("counts", "counts/s"):
         turn = answers.counts_per_rev or _counts_per_rev(raw, output)
+        if not turn and (not wrap or wrap in COUNTER_TURNS) and (told := by_speed(wrap)):
+            turn, speed = told
+            said = f"{turn:g} counts of {column.name!r} make a turn, as {speed!r} says"
+            found.assumed.append(f"{said} (--counts-per-rev)")
         if not turn and (not wrap or wrap in COUNTER_TURNS):
             found.unknown.append(
                 Unknown("counts_per_rev", f"how many counts of {column.name!r} make a turn", "--counts-per-rev")

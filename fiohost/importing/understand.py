@@ -24,6 +24,7 @@ from fiohost.importing.raw import TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import SPEED_WORDS, Head, head_of
 from fiohost.importing.scale import Scale, scale_of
 from fiohost.importing.sensor import sensor_of
+from fiohost.importing.turn import turn_by_speed
 from fiohost.importing.units import MAP_UNITS
 from fiohost.settings import nearest
 
@@ -88,11 +89,15 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     if output is None or command is None or clock is None:
         return _done(raw, None, found, answers)
     alike = [other for other in others if other.names == raw.names]
-    sensor = sensor_of(raw, output, _columns(output, alike), answers, found)
+    tables = (raw, *alike)
+    sensor = sensor_of(
+        raw, output, _columns(output, alike), answers, found,
+        by_speed=lambda wrap: turn_by_speed(tables, heads, output.column.name, wrap, clock),
+    )  # fmt: skip
     scale = _scale(raw, command, _columns(command, others), heads, answers, found)
     if sensor is None or scale is None:
         return _done(raw, None, found, answers)
-    driven = [_driven(table, command, output, sensor, scale) for table in (raw, *alike)]
+    driven = [_driven(table, command, output, sensor, scale) for table in tables]
     duty, speed = driven[0].duty, driven[0].speed
     direction = direction_of(driven, found)
     if direction is not None:
