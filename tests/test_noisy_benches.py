@@ -16,6 +16,7 @@ from fiohost.discover.degenerate import believed, degenerate
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.discover.step import Found, Step
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.judging.metrics import Judgement
 from fiohost.judging.stage import Stage
 from fiohost.noise.estimate import NONE
@@ -53,6 +54,18 @@ def test_a_noisy_bench_that_lacks_nothing_is_explained_to_within_its_noise(tmp_p
     assert "to within the noise" in verdict_sentence(told)
     assert "sensor noise of 0.5" in verdict_sentence(told)
     assert told["settings"]["search"]["draws"] > 0
+
+
+def test_beside_more_noise_than_any_bench_has_what_windows_show_plainly_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where weights say nothing, what takes most of what windows as they are leave is help: structure remains."""
+    monkeypatch.setattr(WeighedWindows, "most_torque_pct", 0.0)
+    monkeypatch.setattr(WeighedWindows, "margin", 1e9)
+    told = to_json(run(made(tmp_path, {"constant_load": {"torque_Nm": 0.06 * STALL_NM}})))
+    assert (told["verdict"], [s["effect"] for s in told["steps"]]) == ("unexplained", ["constant_load"])
+    assert told["after"]["train"]["window_rms"] < 0.7 * told["before"]["train"]["window_rms"]
+    assert told["floor"]["from"] != "noise"
 
 
 def test_on_a_noisy_bench_the_effect_that_is_there_is_named(tmp_path: Path) -> None:

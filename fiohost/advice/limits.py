@@ -15,7 +15,7 @@ from fiohost.advice.grown import Grown, Log, Seen, largest, smallest
 from fiohost.advice.limit import Limit
 from fiohost.discover.screen import Trial, candidates, span_of
 from fiohost.estimation.fit import fit
-from fiohost.estimation.predict import Flat, free_output
+from fiohost.estimation.predict import Flat, free_output, squared
 from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage
 from fiohost.motor.effect import Effect, Parameter, Value
@@ -62,7 +62,7 @@ class Limits:
         change = [r.weights * (y - b) for r, y, b in zip(self.records, self.outputs(model), base, strict=True)]
         whole = np.concatenate([c - q @ (q.T @ c) for c, q in zip(change, self.nuisances, strict=True)])
         left = whole - self.own @ (self.own.T @ whole)
-        raw = float(np.sqrt(sum(float(c @ c) for c in change)))
+        raw = float(np.sqrt(squared(change)))  # infinite of a trial that runs away
         parts = [left[a:b] / r.weights for r, a, b in zip(self.records, self.edges[:-1], self.edges[1:], strict=True)]
         return parts, float(np.linalg.norm(left)) / raw if raw > 0 else 0.0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -132,11 +133,7 @@ class Ladder:
 
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
-        self.say("whole runs stay unexplained: windows of 1 s")
-        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
-        search = self._in_windows(plain, self.named, in_vain=lambda n: len(n.added) > 1)
-        root = search.declared(self.model, self.from_file)
-        seen = search.run(root)
+        search, root, seen = self._plainly_seen
         best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
         if not best and self.general:
             self.say("general curves over the angle beside them")
@@ -147,6 +144,23 @@ class Ladder:
         # Where windows lead nowhere, or counts are all that they leave, whole runs are begun anew before noise is
         # asked for.
         return self._anew() if search.white(seen) or not (seen.added or self._noise_alone(self.root)) else None
+
+    @cached_property
+    def _plainly_seen(self) -> tuple[Search[Stage], Node, Node]:
+        """A search in windows as they are, where it began and what it came to."""
+        self.say("whole runs stay unexplained: windows of 1 s")
+        plain = PlainWindows(self.train, np.random.default_rng(NOISE_SEED), settings=GUIDE)
+        search = self._in_windows(plain, self.named, in_vain=lambda n: len(n.added) > 1)
+        root = search.declared(self.model, self.from_file)
+        return search, root, search.run(root)
+
+    def _plainly_named(self) -> Found[Stage] | None:
+        """What windows as they are first led to: beside more noise than any bench has, weights say nothing."""
+        search, root, seen = self._plainly_seen
+        if not seen.added:
+            return None
+        found = search.found(root, Node(seen.added[0].child.state, seen.added[:1]))
+        return replace(found, offered=tuple(search.known[root.names].told), white=False)
 
     def _by_weighed_windows(self) -> Found[Stage]:
         """What is believed under the noise that is left, if need be; what whole runs follow from there, if any do."""
@@ -165,7 +179,11 @@ class Ladder:
         else:
             found = _plainly_fitted(found, self.windows, self.rng)
         explained = found.white and found.final.follows
-        return found if self.begun_anew or explained else self._anew() or found
+        if not (self.begun_anew or explained):
+            found = self._anew() or found
+        if found.steps or self.counts_alone or not self.windows.no_noise(seen.state):
+            return found
+        return self._plainly_named() or found
 
     def _anew(self) -> Found[Stage] | None:
         """What explains whole runs where effects begin from values of their own, or None."""
