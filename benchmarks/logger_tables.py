@@ -134,6 +134,17 @@ def counts_with_gaps(rows: Rows) -> str:
     return "# bench log\nt;duty;dir;counts\n" + "".join(lines)
 
 
+def sketch(rows: Rows) -> str:
+    """PWM steps without sign, the way in letters, a counter and the rpm that the sketch makes of it."""
+    seen = np.floor(rows.angle_deg / 360.0 * 2400.0)
+    rpm = np.diff(seen, prepend=seen[0]) / 2400.0 / (rows.times_s[1] - rows.times_s[0]) * 60.0
+    steps = np.rint(2.55 * rows.duty_pct)
+    ways = np.where(steps > 0.0, "F", np.where(steps < 0.0, "R", "N"))
+    columns = zip(rows.times_s, np.abs(steps), ways, seen, rpm, strict=True)
+    lines = [f"{1e3 * t:.0f},{u:.0f},{way},{c:.0f},{w:.2f}\n" for t, u, way, c, w in columns]
+    return "t_ms,pwm_cmd,dir,enc_count,rpm\n" + "".join(lines)
+
+
 class Logger(NamedTuple):
     """How a logger writes, how far its rows are apart, and what must be said of its tables."""
 
@@ -149,6 +160,7 @@ LOGGERS: Mapping[str, Logger] = {
     "filtered speed": Logger(filtered_speed, 0.01, 20.0, False, {"full_scale": 255.0}),
     "tachometer": Logger(tachometer, 0.002, 12.0, False, {"full_scale": 12.0}),
     "wrapped angle": Logger(wrapped_angle, 0.005, 20.0, True, {"full_scale": 24.0}),
+    "sketch": Logger(sketch, 0.01, 20.0, True, {}),
     "counts with gaps": Logger(counts_with_gaps, 0.005, 20.0, True, {"full_scale": 1.0, "counts_per_rev": 1000.0}),
 }
 
