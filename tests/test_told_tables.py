@@ -12,7 +12,7 @@ import fiohost
 from fiohost.bench.log import Log
 from fiohost.circle.evidence import diagnose
 from fiohost.cli.main import cli
-from fiohost.errors import ConfigError
+from fiohost.errors import ConfigError, DataError
 from fiohost.importing.automatic import read_any
 
 TURN_COUNTS = 1000
@@ -129,3 +129,18 @@ def test_python_says_the_same_of_one_table_or_several(tmp_path: Path) -> None:
         assert log.output_name == "angle_deg"
         assert log.output_quantum == pytest.approx(0.36)
         assert log.metadata["counts_per_rev"] == "1000"
+
+
+@pytest.mark.parametrize(("most", "steps"), [(160, 255), (255, 255), (700, 1023), (1500, 4095), (20_000, 65_535)])
+def test_pwm_steps_are_of_the_register_that_they_fill(tmp_path: Path, most: int, steps: int) -> None:
+    path = in_volts(tmp_path / "a.csv", 4.0 * (most // 4))
+    path.write_text(path.read_text().replace("u [V]", "pwm").replace(".0,", ","))
+    assert float(read_any([path])[0].metadata["full_scale"]) == pytest.approx(steps)
+
+
+def test_those_that_stay_far_below_it_are_asked_for(tmp_path: Path) -> None:
+    """Of a timer that counts to 10000 a command of 5200 is half of it, and no twelfth."""
+    path = in_volts(tmp_path / "a.csv", 5200.0)
+    path.write_text(path.read_text().replace("u [V]", "pwm").replace(".0,", ","))
+    with pytest.raises(DataError, match="--full-scale"):
+        read_any([path])

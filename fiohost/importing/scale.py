@@ -14,6 +14,7 @@ from fiohost.importing.roles import Head
 
 USUAL_SUPPLIES_V = (3.3, 5.0, 6.0, 7.2, 9.0, 12.0, 15.0, 18.0, 24.0, 36.0, 48.0, 60.0, 80.0, 110.0, 230.0, 400.0)
 PWM_STEPS = (255.0, 1023.0, 4095.0, 65_535.0)
+FAR_BELOW = 0.24  # of the steps: a command that stays below may as well be one of a timer that counts to another top
 DUTY_WORDS = frozenset(
     {"duty", "pwm", "dutycycle", "tastgrad", "tastverhaeltnis", "power", "leistung", "throttle", "stellgrad"}
     | {"aussteuerung", "command", "cmd"}
@@ -74,7 +75,7 @@ def scale_of(
     if largest <= 100.0 * ROUNDING:
         return Scale(1.0, "%", "in percent of full scale", assumed=f"{name!r}, up to {largest:g}, is in percent")
     steps = next((size for size in PWM_STEPS if largest <= size), None)
-    if not whole or steps is None:
+    if not whole or steps is None or largest < FAR_BELOW * steps:
         return None
     line = f"PWM steps of {steps:g}"
     return Scale(
