@@ -153,14 +153,15 @@ class Logger(NamedTuple):
     seconds: float
     angle: bool
     said: Mapping[str, float]
+    steps: float = 0.0  # of the PWM, which the bridge knows no finer than the table does
 
 
 LOGGERS: Mapping[str, Logger] = {
-    "counted speed": Logger(counted_speed, 0.01, 20.0, False, {"full_scale": 255.0}),
-    "filtered speed": Logger(filtered_speed, 0.01, 20.0, False, {"full_scale": 255.0}),
+    "counted speed": Logger(counted_speed, 0.01, 20.0, False, {"full_scale": 255.0}, 255.0),
+    "filtered speed": Logger(filtered_speed, 0.01, 20.0, False, {"full_scale": 255.0}, 255.0),
     "tachometer": Logger(tachometer, 0.002, 12.0, False, {"full_scale": 12.0}),
     "wrapped angle": Logger(wrapped_angle, 0.005, 20.0, True, {"full_scale": 24.0}),
-    "sketch": Logger(sketch, 0.01, 20.0, True, {}),
+    "sketch": Logger(sketch, 0.01, 20.0, True, {}, 255.0),
     "counts with gaps": Logger(counts_with_gaps, 0.005, 20.0, True, {"full_scale": 1.0, "counts_per_rev": 1000.0}),
 }
 
@@ -191,6 +192,8 @@ def tables(logger: str, kind: str, seed: int, folder: Path) -> tuple[list[Path],
     stays = math.exp(-of.row_s / lasts_s)
     for number, shape in enumerate(("steps", "stairs", "sine", "square", "steps"), 1):
         duty, torque = commands(shape, n, of.row_s, rng), np.zeros(n)
+        if of.steps:
+            duty = np.rint(0.01 * of.steps * duty) / (0.01 * of.steps)
         for k, kick in enumerate(rng.standard_normal(n - 1), 1):
             torque[k] = stays * torque[k - 1] + noise_pct * math.sqrt(1.0 - stays**2) * kick
         own = gain * (1.0 + scatter * rng.standard_normal())
