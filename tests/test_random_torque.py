@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,6 +14,7 @@ from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
 from fiohost.judging import followed
 from fiohost.judging.followed import ruled
+from fiohost.judging.metrics import Judgement, judge
 from fiohost.judging.missing_torque import missing_torque
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
@@ -67,8 +71,9 @@ def test_what_drifts_in_each_run_or_follows_the_angle_is_no_random_torque(
     assert bool(ruling) == bool(found)
 
 
+@pytest.mark.parametrize("as_a_whole", [False, True])
 def test_an_estimate_that_runs_away_says_nothing_of_what_a_random_torque_follows(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, as_a_whole: bool
 ) -> None:
     records = made(TRUTH)
     model = fit_from_scratch(TRUTH, records).model
@@ -77,7 +82,11 @@ def test_an_estimate_that_runs_away_says_nothing_of_what_a_random_torque_follows
     def torque(record: Record, of: Model, residual: np.ndarray, noise: Noise | None) -> np.ndarray:
         return np.full(len(residual), np.nan) if of is lost else missing_torque(record, of, residual, noise)
 
-    monkeypatch.setattr(followed, "missing_torque", torque)
+    def away(record: Record, of: Model, *rest: Any, **near: Any) -> Judgement:
+        found = judge(record, of, *rest, **near)
+        return replace(found, simulated=np.full(len(record), np.nan)) if of is lost else found
+
+    monkeypatch.setattr(followed, *(("judge", away) if as_a_whole else ("missing_torque", torque)))
     estimates = [*([judged] * 15), [lost] * 3]
     rng = np.random.default_rng(0)
     assert ruled(drawing(records, SLOW), judged, estimates, [START] * 3, rng, SLOW, 0.0, 3.137) == ()

@@ -253,6 +253,8 @@ def ruled(
 
     def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> dict[str, float]:
         found = [judge(r, m, y, near=s) for r, m, s, y in zip(records, judges, starts, data, strict=True)]
+        if not all(np.isfinite(j.simulated).all() for j in found):
+            return {}
         return _Torque.of(records, judges[0], found, noise).beside_own().shares()
 
     shares = {n: share for n, share in lacking(models, [None] * len(records)).items() if share > least_share}
@@ -262,7 +264,7 @@ def ruled(
     def draw(i: int) -> list[float]:
         days = zip(another_day(records, rngs[i]), models, starts, strict=True)
         other = lacking(estimates[i], [Replicas(r, m, s).draw(rngs[i]) for r, m, s in days])
-        return [other[n] for n in shares]
+        return [other.get(n, np.nan) for n in shares]
 
     rngs = rng.spawn(len(estimates))
     drawn = np.array(each(draw, range(len(estimates))))
