@@ -30,7 +30,8 @@ class Exercised:
 
     ``useful_hz`` is the highest frequency at which the movement stands above the counts, None where it cannot be told.
     ``turns`` are whole revolutions covered between the ends of travel, None where no angle is measured. Logs that are
-    ``overlapping`` on the bench's own time do not say when they were begun.
+    ``overlapping`` on the bench's own time do not say when they were begun: what one clock covers, ``clock_s``, is then
+    the longest of them.
     """
 
     logs: int
@@ -54,6 +55,7 @@ class Exercised:
     closed_loop_only: bool
     saturated_pct: float
     overlapping: bool
+    clock_s: float
 
 
 @dataclass(frozen=True)
@@ -193,4 +195,5 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
         closed_loop_only=bool(reference) and all(reference),
         saturated_pct=float(100.0 * np.mean(np.abs(duty) >= 100.0 - 1e-6)),
         overlapping=overlapping(records),
+        clock_s=float((max if overlapping(records) else sum)(r.seconds for r in records)),
     )
