@@ -118,9 +118,14 @@ HARDLY_SHOW: Sequence[Rule] = (
         lambda d: f"the movement stands above the counts up to {d.useful_hz or 0.0:.2g} Hz only: fast lags do not show",
     ),
     (
-        ("supply_drift", "armature_heating", "friction_warm_up", "gain_warm_up"),
+        ("supply_drift", "armature_heating", "friction_warm_up"),
         lambda d: d.clock_s < SLOW_S,
         lambda d: f"{d.clock_s:.3g} s by one clock: slow changes have no time to show",
+    ),
+    (
+        ("gain_warm_up",),
+        lambda d: d.overlapping and d.clock_s < SLOW_S,
+        lambda d: f"several logs that each begin anew, {d.clock_s:.3g} s at most: what warms up is not seen going on",
     ),
 )
 CANNOT_TELL: Sequence[Rule] = (
