@@ -119,6 +119,30 @@ def test_a_direction_that_is_measured_while_the_motor_is_driven_one_way_is_no_si
     assert understand(raw).certain.sign_column is None
 
 
+@pytest.mark.parametrize(("ways", "forward"), [("FR", "1"), ("FR", "'Fwd'"), ((1, 0), "'F'"), ("R", "'F'")])
+def test_a_map_whose_values_are_not_in_the_column_is_refused(
+    tmp_path: Path, ways: Sequence[Value], forward: str
+) -> None:
+    """Every row would be one backwards."""
+    path = table(tmp_path / "t.csv", "dir", [ways[0] if u >= 0.0 else ways[-1] for u in DUTY], SPEED)
+    kept = tmp_path / "map.toml"
+    kept.write_text(
+        'schema = "fiohost.map/1"\n[time]\ncolumn = "t_s"\n[command]\ncolumn = "pwm_pct"\nsign_column = "dir"\n'
+        f'forward = {forward}\n[output]\ncolumn = "speed [deg/s]"\nquantity = "speed"\nunit = "deg/s"\n'
+    )
+    with pytest.raises(DataError, match="say which of them is"):
+        log_from_raw(read_raw(path), TableMap.load(kept))
+
+
+def test_tables_whose_columns_hold_other_things_say_nothing_of_this_one(tmp_path: Path) -> None:
+    way = ["F" if u >= 0.0 else "R" for u in DUTY]
+    raw = read_raw(table(tmp_path / "a.csv", "dir", way, SPEED))
+    other = tmp_path / "b.csv"
+    rows = (f"{t:.2f},off,F,{n:.2f}" for t, n in zip(TIME_S, SPEED, strict=True))
+    other.write_text("\n".join(["t_s,pwm_pct,dir,speed [deg/s]", *rows]) + "\n")
+    assert understand(raw, others=[read_raw(other)]).certain == understand(raw).certain
+
+
 def test_a_column_of_more_than_two_values_and_a_value_without_column_are_refused(tmp_path: Path) -> None:
     path = table(tmp_path / "t.csv", "dir", np.arange(1500) % 3, SPEED)
     text = (

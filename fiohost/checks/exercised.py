@@ -158,13 +158,6 @@ def _useful_hz(motions: Sequence[_Motion]) -> float | None:
     return max(found) if found else None
 
 
-def _clock_s(records: Sequence[Record]) -> float:
-    """Seconds that one clock covers: of logs that each begin anew the longest, to the end of its last sample."""
-    if overlapping(records):
-        return round(max(r.seconds + r.sample_time_s for r in records), 3)
-    return float(sum(r.seconds for r in records))
-
-
 def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
     motions = [_motion(r) for r in records]
     speed = np.concatenate([m.speed for m in motions])
@@ -202,5 +195,5 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
         closed_loop_only=bool(reference) and all(reference),
         saturated_pct=float(100.0 * np.mean(np.abs(duty) >= 100.0 - 1e-6)),
         overlapping=overlapping(records),
-        clock_s=_clock_s(records),
+        clock_s=float((max if overlapping(records) else sum)(r.seconds for r in records)),
     )

@@ -167,6 +167,9 @@ class Ladder:
         self.say("whole runs stay unexplained: windows of 1 s, under the noise that is left")
         search = self._in_windows(self.windows, [] if self.counts_alone else self.named)
         begun = search.declared(self.model, self.from_file)
+        lost = self.windows.no_noise(begun.state)
+        if not lost:
+            self.__dict__.pop("_plainly_seen", None)  # not asked for again: of a long log it takes much memory
         seen = search.run(begun)
         led = seen.added or (self.runs.few and not self.counts_alone)
         if self.exact and led and (best := self._led(seen)):
@@ -181,9 +184,9 @@ class Ladder:
         explained = found.white and found.final.follows
         if not (self.begun_anew or explained):
             found = self._anew() or found
-        if found.steps or self.counts_alone or not self.windows.no_noise(seen.state):
-            return found
-        return self._plainly_named() or found
+        if lost and not (found.steps or self.counts_alone):
+            found = self._plainly_named() or found
+        return found
 
     def _anew(self) -> Found[Stage] | None:
         """What explains whole runs where effects begin from values of their own, or None."""

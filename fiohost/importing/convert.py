@@ -13,7 +13,7 @@ from fiohost.bench.log import IMPORTED, Log
 from fiohost.bench.table_log import log_text, write_log
 from fiohost.errors import DataError, LogError
 from fiohost.files import Output
-from fiohost.importing.direction import Direction
+from fiohost.importing.direction import STILL, Direction, meaning, values_of
 from fiohost.importing.map import REFUSE, TableMap
 from fiohost.importing.raw import MAX_NUMBER, NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
@@ -160,6 +160,12 @@ def _ways(column: RawColumn, direction: Direction, raw: RawTable, table_map: Tab
     both = direction.forward is not None and direction.backward is not None
     if column.kind != TEXT and not both and len(np.unique(values[np.isfinite(values)])) > 2:
         raise DataError(f"{raw.path}: column {column.name!r} has more than two values: it is no direction")
+    given = [value for value in (direction.forward, direction.backward) if value is not None]
+    there = sorted({v for v in values_of(column).tolist() if v in given or meaning(v) != STILL}, key=str)
+    wordy = bool(column.words) or any(isinstance(value, str) for value in given)
+    if wordy and there and not set(there) & set(given):
+        shown = ", ".join(map(repr, there[:4]))
+        raise DataError(f"{raw.path}: column {column.name!r} has {shown}: say which of them is [command] forward")
     return np.where(np.isfinite(values), direction.ways(column), np.nan)
 
 

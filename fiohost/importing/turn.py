@@ -30,15 +30,17 @@ def turn_by_speed(
         deg_s = _deg_s(head)
         if deg_s == 0.0 or head.column.name == counter or head.score(roles.REFERENCE) >= head.score(roles.OUTPUT):
             continue
-        pairs = [_travelled(table, counter, wrap, head.column.name, deg_s, clock) for table in tables]
+        of = head.column.name
+        alike = [table for table in tables if table.column(of).kind == head.column.kind]
+        pairs = [_travelled(table, counter, wrap, of, deg_s, clock) for table in alike]
         halves = [_counts_a_turn([(c[half], t[half]) for c, t in pairs for half in _halves(t)[i::2]]) for i in (0, 1)]
         whole = _counts_a_turn(pairs)
         apart = abs(halves[0] - halves[1])
         if sum(float(np.ptp(t)) for _, t in pairs if len(t)) < LEAST_TURNS or not apart < AGREE * whole:
             continue
         if abs(whole - round(whole)) < SURE * whole and apart < 2.0 * SURE * whole:
-            return float(round(whole)), head.column.name
-        return float(f"{whole:.{ROUNDED}g}"), head.column.name
+            return float(round(whole)), of
+        return float(f"{whole:.{ROUNDED}g}"), of
     return None
 
 

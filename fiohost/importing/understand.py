@@ -89,7 +89,8 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     if output is None or command is None or clock is None:
         return _done(raw, None, found, answers)
     alike = [other for other in others if other.names == raw.names]
-    tables = (raw, *alike)
+    needs = [name for name in (command.column.name, output.column.name, clock.column) if name]
+    tables = (raw, *(t for t in alike if all(t.column(n).kind == raw.column(n).kind for n in needs)))
     sensor = sensor_of(
         raw, output, _columns(output, alike), answers, found,
         by_speed=lambda wrap: turn_by_speed(tables, heads, output.column.name, wrap, clock),
