@@ -157,6 +157,9 @@ def test_a_column_of_more_than_two_values_and_a_value_without_column_are_refused
         kept.write_text(text.replace('sign_column = "dir"', f"{key} = 1"))
         with pytest.raises(ConfigError, match="sign_column"):
             TableMap.load(kept)
+    kept.write_text(text.replace('sign_column = "dir"', 'sign_column = "dir"\nbackwards = "R"'))
+    with pytest.raises(ConfigError, match="did you mean 'backward'"):
+        TableMap.load(kept)
     kept.write_text(text.replace('sign_column = "dir"', 'sign_column = "dir"\nforward = "F"\nbackward = "F"'))
     with pytest.raises(ConfigError, match="the same value"):
         TableMap.load(kept)

@@ -229,9 +229,8 @@ class TableMap:
 
 def _value(table: Table, key: str) -> Value | None:
     """A number or a text, None where there is none."""
-    if key not in table:
-        return None
-    return table.text(key) if isinstance(table.raw(key), str) else table.number(key)
+    said = table.raw(key)
+    return said if said is None or isinstance(said, str) else table.number(key)
 
 
 def _beside(table: Table) -> Beside:
