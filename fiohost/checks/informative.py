@@ -119,8 +119,8 @@ HARDLY_SHOW: Sequence[Rule] = (
     ),
     (
         ("supply_drift", "armature_heating", "friction_warm_up"),
-        lambda d: d.clock_s < SLOW_S,
-        lambda d: f"{d.clock_s:.3g} s by one clock: slow changes have no time to show",
+        lambda d: d.seconds < SLOW_S,
+        lambda d: f"{d.seconds:.3g} s in all: slow changes have no time to show",
     ),
     (
         ("gain_warm_up",),
