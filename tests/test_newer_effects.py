@@ -10,7 +10,7 @@ import pytest
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, SPEED, make_record
-from fiohost.motor.electrics import coasting, follow
+from fiohost.motor.electrics import coasting, follow, repeated
 from fiohost.motor.hooks import command, measure
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Excitation, Start, free_run
@@ -158,12 +158,16 @@ def test_a_share_of_the_duty_comes_in_steps(rounding: str, duty: float, acts: fl
 # ---- a bridge that coasts ------------------------------------------------------------------------------------------
 
 
-def mean_by_pulses(volts: float, emf: float, share: float, ohms: float, periods: float, most: float) -> float:
-    """Mean current over a period once it repeats, each pulse followed piece by piece."""
+def mean_by_pulses(
+    volts: float, emf: float, share: float, ohms: float, periods: float, most: float, drop: float, pause: float
+) -> float:
+    """Mean current over a period once it repeats, each pulse followed piece by piece; voltages lost are ``drop`` while
+    it is on and ``pause`` between two.
+    """
     i, mean = 0.0, 0.0
     for _ in range(4000):
-        i, first, _ = follow(i, volts - emf, 0.0, ohms, periods / ohms, most, share)
-        i, second, _ = follow(i, -emf, abs(volts), ohms, periods / ohms, most, 1.0 - share)
+        i, first, _ = follow(i, volts - emf, drop, ohms, periods / ohms, most, share)
+        i, second, _ = follow(i, -emf, pause, ohms, periods / ohms, most, 1.0 - share)
         if abs(first + second - mean) < 1e-13:
             break
         mean = first + second
@@ -177,9 +181,23 @@ def test_the_closed_form_of_a_coasting_bridge_is_what_its_pulses_give(most: floa
         volts = rng.choice((-1.0, 1.0)) * rng.uniform(80.0, 100.0)
         emf, share, ohms = rng.uniform(-130.0, 130.0), rng.uniform(0.02, 1.0), rng.uniform(0.8, 1.5)
         periods = 10.0 ** rng.uniform(-3.0, 0.0)
-        expected = mean_by_pulses(volts, emf, share, ohms, periods, most)
+        expected = mean_by_pulses(volts, emf, share, ohms, periods, most, 0.0, abs(volts))
         found = coasting(volts, emf, share, 0.0, ohms, most, periods)
         assert found == pytest.approx(expected, abs=1e-6), (volts, emf, share, ohms, periods)
+
+
+@pytest.mark.parametrize("most", [np.inf, 3.0])
+@pytest.mark.parametrize("opens", [False, True])
+def test_a_current_that_repeats_itself_is_found_however_slow_the_winding(opens: bool, most: float) -> None:
+    """A steady speed under light load, where the current flows both ways in each period and each zero costs a drop."""
+    rng = np.random.default_rng(6)
+    for _ in range(100):
+        volts, drop, share = rng.choice((-1.0, 1.0)) * 100.0, rng.uniform(0.5, 4.0), rng.uniform(0.02, 0.9)
+        emf, periods = share * volts + rng.uniform(-5.0, 5.0), 10.0 ** rng.uniform(-1.0, 2.0)
+        pause = drop + (100.0 if opens else 0.0)
+        expected = mean_by_pulses(volts, emf, share, 1.0, periods, most, drop, pause)
+        found = repeated(volts, share, drop, pause, emf, 1.0, periods, most, 1.0)
+        assert found == pytest.approx(expected, abs=1e-6), (volts, emf, share, drop, periods)
 
 
 def test_a_current_that_ceases_at_once_is_the_duty_times_supply_less_emf() -> None:

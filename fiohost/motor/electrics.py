@@ -31,8 +31,10 @@ BEYOND = 1e-6
 
 @part
 def follow(i, push, loss, ohms, tau, most, span):  # type: ignore[no-untyped-def]
-    """The current after a part of a period, its integral over it, and whether where it began still counts."""
-    charge, counts, left = 0.0, True, span
+    """The current after a part of a period, its integral over it, and its derivative by the current at the beginning:
+    each zero crossed changes it as the rate of the current changes there.
+    """
+    charge, steep, left, came = 0.0, 1.0, span, 0.0
     i = min(max(i, -most), most)
     for _ in range(MOST_PIECES):
         if left <= 0.0:
@@ -40,22 +42,26 @@ def follow(i, push, loss, ohms, tau, most, span):  # type: ignore[no-untyped-def
         way = 1.0 if i > 0.0 else -1.0
         if i == 0.0:
             if abs(push) <= loss:
-                return 0.0, charge, False
+                return 0.0, charge, 0.0
             way = 1.0 if push > 0.0 else -1.0
         target = (push - way * loss) / ohms
-        go, end = left, 0.0
+        if came != 0.0:
+            steep *= target / came
         if loss > 0.0 and target * way < 0.0:
             go = tau * log((i - target) / -target)  # it comes to zero then
-        if go >= left:
-            go, end = left, target + (i - target) * exp(-left / tau)
+            if go < left:
+                charge += target * go + tau * i
+                steep *= target / (target - i)
+                i, left, came = 0.0, left - go, target
+                continue
+        fallen = exp(-left / tau)
+        end = target + (i - target) * fallen
         if abs(end) > most:
             bound = copysign(most, end)
             go = tau * log((i - target) / (bound - target)) if i != bound else 0.0
-            charge += target * go + tau * (i - bound) + bound * (left - go)
-            return bound, charge, False
-        charge += target * go + tau * (i - end)
-        i, left = end, left - go
-    return i, charge, counts
+            return bound, charge + target * go + tau * (i - bound) + bound * (left - go), 0.0
+        return end, charge + target * left + tau * (i - end), steep * fallen
+    return i, charge, steep
 
 
 @inlined
@@ -85,32 +91,30 @@ def ceasing(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, period, x, k
 
 @part
 def repeated(on_volts, share, drop_pct, pause_pct, emf, ohms, lag_s, most, period):  # type: ignore[no-untyped-def]
-    """Mean over a period of the current that repeats itself from one to the next: the fixed point of the period's map.
+    """Mean over a period of the current that repeats itself from one to the next: the fixed point of the period's map,
+    by Newton's method.
 
-    The map never falls, and rises by ``exp(-period/tau)`` at most, so the point is one and can be bracketed.
+    The map never falls, and rises by less than one, so the point is one and can be bracketed.
     """
     tau = lag_s / ohms
-    low, high, steep = -most, most, -1.0
+    low, high = -most, most
     if most == inf:
         high = (abs(on_volts) + abs(emf) + pause_pct) / ohms
         low = -high
+    close = -CLOSE * expm1(-period / tau)
     i, mean = 0.0, 0.0
     for _ in range(MOST_ROUNDS):
-        top, first, counts = follow(i, on_volts - emf, drop_pct, ohms, tau, most, share * period)
-        end, second, counts_too = follow(top, -emf, pause_pct, ohms, tau, most, (1.0 - share) * period)
+        top, first, rises = follow(i, on_volts - emf, drop_pct, ohms, tau, most, share * period)
+        end, second, falls = follow(top, -emf, pause_pct, ohms, tau, most, (1.0 - share) * period)
         mean = (first + second) / period
         off = end - i
-        if off == 0.0:
-            break  # it ceases in each period
-        if steep < 0.0:
-            steep = exp(-period / tau)
-        if abs(off) <= CLOSE * (1.0 - steep):
+        if abs(off) <= close:  # nothing is off where it ceases in each period
             break
         if off > 0.0:
             low = i
         else:
             high = i
-        i = i + off / (1.0 - steep) if counts and counts_too else end
+        i += off / (1.0 - rises * falls)
         if not low <= i <= high:
             i = 0.5 * (low + high)
     return mean
