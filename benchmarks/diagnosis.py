@@ -38,6 +38,7 @@ STAGES = {
     "asking": "what a command means",
     "fitting": "declared model fitted and judged",
     "whole runs": "windows: the noise that is left",
+    "few": "few logs: each effect alone, in windows and whole runs",
     "scoring": "library scored",
     "refitting": "candidates refitted, held against chance and left-out logs",
     "beginning": "begun anew with each candidate",

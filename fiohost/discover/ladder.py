@@ -115,12 +115,13 @@ class Ladder:
             return None
         beside, records = guide.beside(root), self.runs.records
         offered, _ = beside.offered([*self.named, *self.hardly, *self.general])
+        alone = self._followed_at_first(beside.each_alone(offered))
 
         def as_whole(of: tuple[Effect, State]) -> tuple[Effect, State]:
             fitted = fit(of[1].fit.model, records, max_iterations=25, tolerance=1e-6)
             return of[0], self.runs.settled(thorough_fit(fitted, of[0], records))
 
-        whole = sorted(each(as_whole, beside.each_alone(offered)), key=lambda w: w[1].deviance)
+        whole = sorted(each(as_whole, alone), key=lambda w: w[1].deviance)
         near = whole[:1] + [w for w in whole[1:] if self.runs.near_counts(w[1])]
         near.sort(key=lambda w: bool(w[0].points))
         for i, (effect, state) in enumerate(near[: SETTINGS.finalists_in_windows]):
@@ -130,6 +131,17 @@ class Ladder:
                 near[i] = effect, self.runs.finished(state)
         led = self.whole.alone(self.root, near)
         return self.whole.found(self.root, led) if led else None
+
+    def _followed_at_first(self, found: Sequence[tuple[Effect, State]]) -> Sequence[tuple[Effect, State]]:
+        """Of effects fitted to windows those with which whole runs are followed at their beginnings, where logs are so
+        long that fits of all would take minutes.
+        """
+        runs = self.runs
+        if all(r is b for r, b in zip(runs.records, runs.beginnings, strict=True)):
+            return found
+        tried = each(lambda f: fit(f[1].fit.model, runs.beginnings, max_iterations=25, tolerance=1e-6).rms, found)
+        most = SETTINGS.hopeless * max(min(tried, default=0.0), runs.most_of_counts) ** 2
+        return [f for f, rms in zip(found, tried, strict=True) if rms**2 <= most]
 
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from fiohost.discover.candidate import Progress
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State, deviance_of
-from fiohost.discover.folds import folds
+from fiohost.discover.folds import beginning, folds
 from fiohost.discover.optimise import again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
@@ -56,6 +57,14 @@ class Logs(Evidence[Stage]):
     def few(self) -> bool:
         """Whether there are fewer than three experiments."""
         return len(self.records) > len(self.train)
+
+    @cached_property
+    def beginnings(self) -> list[Record]:
+        """The beginnings of all whole runs, in all as long as what is searched of windows: what no effect follows there
+        none does to the end.
+        """
+        share_s = self.settings.most_windows / len(self.records)
+        return [beginning(r, share_s) for r in self.records]
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         """The state of a fit, its deviance comparable with those of others; ``whitened`` says that it was fitted so."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import zip_longest
 from typing import NamedTuple, Protocol
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import State
-from fiohost.discover.folds import beginning
 from fiohost.discover.moments import fit_event, moment_of
 from fiohost.discover.null import Decided, Null, draw_null
 from fiohost.discover.optimise import (
@@ -44,6 +42,10 @@ class Logs(Protocol):
     settings: SearchSettings
     rng: np.random.Generator
     records: list[Record]
+
+    @property
+    def beginnings(self) -> list[Record]:
+        """The beginnings of all whole runs: what no effect follows there none does to the end."""
 
     @property
     def few(self) -> bool:
@@ -262,14 +264,6 @@ class LogsBeside:
             jobs += [Job(x, screen.fit, screen.records) for x in worth]
         return jobs
 
-    @cached_property
-    def beginnings(self) -> list[Record]:
-        """The beginnings of all whole runs, in all as long as what is searched of windows: what no effect follows there
-        none does to the end.
-        """
-        share_s = self.logs.settings.most_windows / len(self.state.records)
-        return [beginning(r, share_s) for r in self.state.records]
-
     def rough(self, jobs: Sequence[Job], floor: float, rival: State | None = None) -> tuple[list[Job], list[Fit]]:
         """The jobs worth one, and their rough fits, without their arrays: of a long log, those of all would fill the
         memory. The best scores come first. Beside one at the floor those that score about as much follow, as the data
@@ -278,8 +272,8 @@ class LogsBeside:
         Long runs are tried at their beginnings first, and only what follows these is fitted to all.
         """
         s = self.logs.settings
-        if self.logs.exact and any(r is not b for r, b in zip(self.state.records, self.beginnings, strict=True)):
-            tried = self._some_rough([job._replace(records=self.beginnings) for job in jobs], floor, None, ())
+        if self.logs.exact and any(r is not b for r, b in zip(self.state.records, self.logs.beginnings, strict=True)):
+            tried = self._some_rough([job._replace(records=self.logs.beginnings) for job in jobs], floor, None, ())
             least = min((f.rms for f in tried), default=np.inf)
             if least > s.lost * floor:
                 return list(jobs), tried
