@@ -137,7 +137,7 @@ class Ladder:
         long that fits of all would take minutes.
         """
         runs = self.runs
-        if all(r is b for r, b in zip(runs.records, runs.beginnings, strict=True)):
+        if not runs.long:
             return found
         tried = each(lambda f: fit(f[1].fit.model, runs.beginnings, max_iterations=25, tolerance=1e-6).rms, found)
         most = SETTINGS.hopeless * max(min(tried, default=0.0), runs.most_of_counts) ** 2
@@ -183,8 +183,10 @@ class Ladder:
         if not lost:
             self.__dict__.pop("_plainly_seen", None)  # not asked for again: of a long log it takes much memory
         seen = search.run(begun)
-        led = seen.added or (self.runs.few and not self.counts_alone)
-        if self.exact and led and (best := self._led(seen)):
+        noise, led = seen.state.noise, seen.added or (self.runs.few and not self.counts_alone)
+        # Where a torque at random is all that so many windows leave, no whole run is followed.
+        in_vain = self.runs.long and noise is not None and noise.torque_known and search.white(seen)
+        if self.exact and led and not in_vain and (best := self._led(seen)):
             return self.whole.found(self.root, best)
         white = search.white(seen)
         ruling = () if white else self.windows.ruling(seen.state)

@@ -66,6 +66,11 @@ class Logs(Evidence[Stage]):
         share_s = self.settings.most_windows / len(self.records)
         return [beginning(r, share_s) for r in self.records]
 
+    @property
+    def long(self) -> bool:
+        """Whether they are but a part of the runs: windows of so much show what whole runs do."""
+        return any(r is not b for r, b in zip(self.records, self.beginnings, strict=True))
+
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         """The state of a fit, its deviance comparable with those of others; ``whitened`` says that it was fitted so."""
         raise NotImplementedError

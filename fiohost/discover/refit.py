@@ -48,6 +48,10 @@ class Logs(Protocol):
         """The beginnings of all whole runs: what no effect follows there none does to the end."""
 
     @property
+    def long(self) -> bool:
+        """Whether they are but a part of the runs."""
+
+    @property
     def few(self) -> bool:
         """Whether there are fewer than three experiments."""
 
@@ -272,7 +276,7 @@ class LogsBeside:
         Long runs are tried at their beginnings first, and only what follows these is fitted to all.
         """
         s = self.logs.settings
-        if self.logs.exact and any(r is not b for r, b in zip(self.state.records, self.logs.beginnings, strict=True)):
+        if self.logs.exact and self.logs.long:
             tried = self._some_rough([job._replace(records=self.logs.beginnings) for job in jobs], floor, None, ())
             least = min((f.rms for f in tried), default=np.inf)
             if least > s.lost * floor:
