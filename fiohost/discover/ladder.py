@@ -133,15 +133,17 @@ class Ladder:
         return self.whole.found(self.root, led) if led else None
 
     def _followed_at_first(self, found: Sequence[tuple[Effect, State]]) -> Sequence[tuple[Effect, State]]:
-        """Of effects fitted to windows those with which whole runs are followed at their beginnings, where logs are so
-        long that fits of all would take minutes.
+        """Of effects fitted to windows those that lead whole runs as near as any at their beginnings, where logs are so
+        long that fits of all would take minutes; none where all stay far from counts there.
         """
         runs = self.runs
         if not runs.long:
             return found
         tried = each(lambda f: fit(f[1].fit.model, runs.beginnings, max_iterations=25, tolerance=1e-6).rms, found)
-        most = SETTINGS.hopeless * max(min(tried, default=0.0), runs.most_of_counts) ** 2
-        return [f for f, rms in zip(found, tried, strict=True) if rms**2 <= most]
+        least = max(min(tried, default=0.0), runs.most_of_counts)
+        if least > SETTINGS.lost * runs.most_of_counts:
+            return ()
+        return [f for f, rms in zip(found, tried, strict=True) if rms**2 <= SETTINGS.hopeless * least**2]
 
     def _by_plain_windows(self) -> Found[Stage] | None:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
