@@ -115,7 +115,10 @@ class Ladder:
             return None
         beside, records = guide.beside(root), self.runs.records
         offered, _ = beside.offered([*self.named, *self.hardly, *self.general])
-        alone = self._followed_at_first(beside.each_alone(offered))
+        alone = beside.each_alone(offered)
+        if not any(self.runs.near_counts(state) for _, state in alone):
+            return None  # where windows stay far from counts, so do whole runs
+        alone = self._followed_at_first(alone)
 
         def as_whole(of: tuple[Effect, State]) -> tuple[Effect, State]:
             fitted = fit(of[1].fit.model, records, max_iterations=25, tolerance=1e-6)
