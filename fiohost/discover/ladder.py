@@ -28,8 +28,9 @@ from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 from fiohost.workers import each
 
-# What only says where to look next.
-GUIDE = replace(SETTINGS, draws=SETTINGS.draws_of_a_guide)
+# What only says where to look next; and what only says whether to look on.
+GUIDE = replace(SETTINGS, draws=SETTINGS.draws_of_a_guide, most_windows=SETTINGS.windows_of_a_guide)
+PROBE = replace(SETTINGS, draws=SETTINGS.draws_of_a_guide)
 # Windows have a stream of draws of their own, so that no other draw depends on whether they are needed.
 NOISE_SEED = 1
 
@@ -230,7 +231,7 @@ class Ladder:
         """Whether all that a model leaves in windows may be a random torque, or how runs differ: no whole run can be
         followed then.
         """
-        probe = WeighedWindows(self.train, np.random.default_rng(NOISE_SEED), GUIDE)
+        probe = WeighedWindows(self.train, np.random.default_rng(NOISE_SEED), PROBE)
         found = probe.settled(fit(node.state.fit.model, probe.plain, windows=True, max_iterations=12))
         known = found.noise is not None and (found.noise.torque_known or found.noise.runs.known)
         return known and probe.white(found)

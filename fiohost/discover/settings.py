@@ -224,6 +224,8 @@ class SearchSettings:
     # So many windows of all records are searched at most, spread over them: more only take longer. What is found is
     # judged on all.
     most_windows: int = 160
+    # So many where they only say what whole runs are to be asked: 22 drawn pairs were told by them as by twice as many.
+    windows_of_a_guide: int = 80
     # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum.
     stuck: float = 2.0
     screen: ScreenSettings = ScreenSettings()
