@@ -136,7 +136,7 @@ class Ladder:
         led = self.whole.alone(self.root, near)
         return self.whole.found(self.root, led) if led else None
 
-    def _followed_at_first(self, found: Sequence[tuple[Effect, State]]) -> Sequence[tuple[Effect, State]]:
+    def _followed_at_first(self, found: list[tuple[Effect, State]]) -> list[tuple[Effect, State]]:
         """Of effects fitted to windows those that lead whole runs as near as any at their beginnings, where logs are so
         long that fits of all would take minutes; none where all stay far from counts there.
         """
@@ -146,7 +146,7 @@ class Ladder:
         tried = each(lambda f: fit(f[1].fit.model, runs.beginnings, max_iterations=25, tolerance=1e-6).rms, found)
         least = max(min(tried, default=0.0), runs.most_of_counts)
         if least > SETTINGS.lost * runs.most_of_counts:
-            return ()
+            return []
         return [f for f, rms in zip(found, tried, strict=True) if rms**2 <= SETTINGS.hopeless * least**2]
 
     def _by_plain_windows(self) -> Found[Stage] | None:
