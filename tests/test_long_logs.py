@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,12 @@ import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, truth_model
 
 from fiohost.discover import ladder as ladders
+from fiohost.discover.evidence import State
 from fiohost.discover.ladder import Ladder
-from fiohost.discover.optimise import thorough_fit
-from fiohost.estimation.fit import Fit
+from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
-from fiohost.motor.effect import Effect
+from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -52,18 +51,14 @@ def test_what_no_effect_leads_near_counts_in_windows_is_not_searched_in_whole_ru
     assert climbing(pushed(20.0, 3.0))._each_alone() is None
 
 
-def test_of_a_long_log_only_what_its_beginning_follows_is_fitted_to_all_of_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    fitted: list[str] = []
-
-    def listed(found: Fit, of: Effect, records: Sequence[Record]) -> Fit:
-        fitted.append(of.name)
-        return thorough_fit(found, of, records)
-
-    monkeypatch.setattr(ladders, "thorough_fit", listed)
-    found = climbing(measure(DRAG, steps(400.0, np.random.default_rng(3)), np.random.default_rng(4))).climbed()
-    assert [s.effect for s in found.steps] == fitted == ["quadratic_drag"]
+@pytest.mark.parametrize(("seconds", "kept"), [(400.0, ["quadratic_drag"]), (20.0, list(LIBRARY))])
+def test_of_a_long_log_only_what_its_beginning_follows_is_fitted_to_all_of_it(seconds: float, kept: list[str]) -> None:
+    record = measure(DRAG, steps(seconds, np.random.default_rng(3)), np.random.default_rng(4))
+    ladder, found = climbing(record), []
+    for name in LIBRARY:
+        fitted = fit(ladder.root.state.fit.model.with_effect(name, {}), [record], windows=True, tolerance=1e-4)
+        found.append((effect(name), State(fitted, 0.0)))
+    assert [of.name for of, _ in ladder._followed_at_first(found)] == kept
 
 
 def test_where_a_torque_is_all_that_a_long_log_leaves_no_whole_run_is_searched(
@@ -72,4 +67,5 @@ def test_where_a_torque_is_all_that_a_long_log_leaves_no_whole_run_is_searched(
     monkeypatch.setattr(Ladder, "_led", refuse)
     found = climbing(pushed(400.0, 1.0)).climbed()
     assert [s.effect for s in found.steps] == ["quadratic_drag"]
-    assert found.noise is not None and found.noise.torque_known
+    assert found.noise is not None
+    assert found.noise.torque_known
