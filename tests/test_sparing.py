@@ -102,7 +102,7 @@ def test_long_runs_are_tried_at_their_beginnings_first() -> None:
         (screen,) = runs.screens(state)
         jobs = [Job(screen.score(effect(n)), state.fit, screen.records) for n in names]
         beside, floor = runs.beside(state), runs.floor_rms(state)
-        assert sum(r.seconds for r in beside.beginnings) <= 1.25 * SETTINGS.most_windows
+        assert sum(r.seconds for r in runs.beginnings) <= 1.25 * SETTINGS.most_windows
         left, fits = beside.rough(jobs, floor)
         return [job.name for job in left], min(f.rms for f in fits) / floor, max(f.samples for f in fits)
 
