@@ -21,11 +21,12 @@ from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
 from fiohost.discover.refit import Job
 from fiohost.discover.result import to_json
 from fiohost.discover.screen import Screen
+from fiohost.estimation.bench import with_bench
 from fiohost.estimation.fit import fit, fit_from_scratch, unchanged
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import Record, make_record, record_from_log, with_bench
+from fiohost.estimation.record import Record, make_record, record_from_log
 from fiohost.judging.metrics import judge
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model

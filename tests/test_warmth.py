@@ -11,11 +11,12 @@ from bench_data import QUANTUM_DEG, TICK_S, measure, truth_model
 from fiohost.discover.movement import movement
 from fiohost.discover.optimise import chosen_again
 from fiohost.discover.whitened import with_noise
+from fiohost.estimation.bench import with_bench
 from fiohost.estimation.fit import fit
 from fiohost.estimation.initial import guessed_warmth, initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, errors, free_output, some_windows
-from fiohost.estimation.record import Record, make_record, with_bench
+from fiohost.estimation.record import Record, make_record
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start

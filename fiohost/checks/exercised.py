@@ -10,7 +10,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from fiohost.checks.counts import quantum_of
 from fiohost.checks.said import Said
-from fiohost.estimation.record import ANGLE, SMOOTH_S, Record, overlapping
+from fiohost.estimation.bench import overlapping
+from fiohost.estimation.record import ANGLE, SMOOTH_S, Record
 
 # A shaft stands where its reading stays for so long, and has moved where it left by more grains than one flicker.
 STANDS_S, STANDS_SAMPLES = 0.1, 5

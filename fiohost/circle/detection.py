@@ -12,7 +12,8 @@ from fiohost.advice.limits import detection_limits
 from fiohost.circle.evidence import Source, TableIs, check_roles, read_logs, unique_names
 from fiohost.discover.objective import WholeRuns
 from fiohost.errors import DataError
-from fiohost.estimation.record import pwm_of, record_from_log, with_bench
+from fiohost.estimation.bench import pwm_of, with_bench
+from fiohost.estimation.record import record_from_log
 from fiohost.judging.metrics import pool
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model

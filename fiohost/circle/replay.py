@@ -10,10 +10,11 @@ import numpy as np
 
 from fiohost import __version__
 from fiohost.bench.log import Log
-from fiohost.estimation.record import record_from_log, speed_unit
+from fiohost.estimation.bench import on_turn
+from fiohost.estimation.record import Record, record_from_log, speed_unit
 from fiohost.estimation.seen import seen_of
 from fiohost.files import write_output
-from fiohost.judging.metrics import Errors, judge
+from fiohost.judging.metrics import Errors, Judgement, judge
 from fiohost.judging.units import LOG_UNIT, STARTS, metres
 from fiohost.motor.model import MM_PER_M, Model
 from fiohost.motor.simulate import Start
@@ -37,14 +38,31 @@ class Replay:
 def replay(log: Log, model: Model) -> Replay:
     """Simulate a model on the commands of a log. Raises ModelError, DataError."""
     record = record_from_log(log)
-    found = judge(record, model.on_axis(record.rotary).with_pwm(record.pwm_hz))
+    model = model.on_axis(record.rotary).with_pwm(record.pwm_hz)
+    record, found = _on_its_turn(record, model)
     beyond = model.seen.beyond(seen_of([record]), speed_unit(record.unit)) if model.seen else []
-    y, start, errors = found.simulated, found.start, found.errors
+    start = found.start._replace(angle=found.start.angle - record.ahead_deg)
+    y, errors = found.simulated - record.ahead_deg, found.errors
     if record.unit in LOG_UNIT:
         y = y / MM_PER_M
         start = start._replace(**metres({name: getattr(start, name) for name in STARTS}))
         errors = replace(errors, free_run_rms=metres(errors.free_run_rms), window_rms=metres(errors.window_rms))
     return Replay(log.time_s, y, log.output_name, log.output_unit, start, errors, tuple(beyond))
+
+
+def _on_its_turn(record: Record, model: Model) -> tuple[Record, Judgement]:
+    """A record that says no whole turns, and what is judged of it, on the turn that suits the model's ends of travel
+    best: its own, or that on which its shaft came to one of them.
+    """
+    ways = [record]
+    for item in (e for e in model.parts() if record.wraps and e.event is not None and e.angle_bound):
+        end = model.number(f"{item.name}.{item.parameters[0].name}")
+        side = 1.0 if end > 0.0 else -1.0
+        room = abs(end) + record.quantum - float(np.max(side * record.y))
+        ways.append(on_turn(record, int(side * (room // 360.0))))
+    judged = [judge(way, model) for way in ways]
+    best = min(range(len(ways)), key=lambda i: judged[i].errors.free_run_rms)
+    return ways[best], judged[best]
 
 
 def write_replay(path: Path, result: Replay, log: Log, model_name: str) -> None:

@@ -113,7 +113,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     "before": b.errors.to_json(),
                     "after": a.errors.to_json(),
                     "floor": f.errors.to_json(),
-                    "initial": a.start._asdict(),
+                    "initial": {**a.start._asdict(), "angle": a.start.angle - record.ahead_deg},
                     **({"own_start": own_starts[record.name]} if role == "holdout" else {}),
                 }
             )

@@ -128,7 +128,8 @@ class WeighedWindows(PlainWindows):
         return False  # what noise leaves is not known before the model is
 
     def no_noise(self, state: State) -> bool:
-        return state.noise is None or state.noise.torque_pct.value > self.most_torque_pct
+        shortest_s = min(r.seconds for r in self.records)
+        return state.noise is None or state.noise.wanders_pct(shortest_s) > self.most_torque_pct
 
     def _even(self, state: State) -> bool:
         """Whether what is left is counts or as white as what bootstrap samples leave, whatever else it follows."""

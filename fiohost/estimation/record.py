@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,7 +47,8 @@ class Record:
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
     instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
     where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero, ``begins`` that the bench's own time does with it. ``pwm_hz`` is the
+    where on the bench's turn its angle is zero, ``wraps`` that its counter says no whole turns (``ahead_deg`` are
+    those that were added to what its log says), ``begins`` that the bench's own time does with it. ``pwm_hz`` is the
     frequency of the bridge's PWM, 0 where unknown. ``weights`` (n) are by what whole runs weigh the readings' errors,
     ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at: what is fitted
     to them is an array of their samples (k) alone. ``segments`` (n)
@@ -69,6 +68,8 @@ class Record:
     at_rest: bool
     rotary: bool
     own_zero: bool = False
+    wraps: bool = False
+    ahead_deg: float = 0.0
     begins: bool = False
     pwm_hz: float = 0.0
     windows: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -341,31 +342,5 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         regular=times is not log.time_s,
         quantum_found=quantum > 0.0 and log.output_quantum <= 0.0,
         noise_rms=None if noise is None else noise * scale,
+        wraps=output == "angle_deg" and "pos" in log.columns and not log.pos_reset,
     )
-
-
-def pwm_of(records: Sequence[Record]) -> float:
-    """The PWM's frequency in Hz that the records share, 0 where none says one. Raises DataError where they differ."""
-    said = sorted({r.pwm_hz for r in records if r.pwm_hz > 0.0})
-    if len(said) > 1:
-        raise DataError(f"the logs are of benches whose PWM differs ({said[0]:g} and {said[-1]:g} Hz); take them apart")
-    return said[0] if said else 0.0
-
-
-def with_bench(records: Sequence[Record]) -> list[Record]:
-    """The records of one bench: its time begins with the earliest of them, and the first defines its zero where all
-    have zeros of their own.
-    """
-    if not records:
-        return []
-    earliest = min(range(len(records)), key=lambda i: records[i].excitation.clock_s)
-    found = [replace(r, begins=i == earliest) for i, r in enumerate(records)]
-    if all(r.own_zero for r in found):
-        found[0] = replace(found[0], own_zero=False)
-    return found
-
-
-def overlapping(records: Sequence[Record]) -> bool:
-    """Whether two records share half of the shorter one's time on their bench: they do not say when they were begun."""
-    spans = sorted((r.excitation.clock_s, r.excitation.clock_s + r.seconds) for r in records)
-    return any(end - begin > 0.5 * min(end - start, until - begin) for (start, end), (begin, until) in pairwise(spans))

@@ -60,6 +60,13 @@ class Noise:
         """How far the torque wanders in the first second, in percent of duty, did it go on as it begins."""
         return self.torque_pct.value * (2.0 / self.torque_s.value) ** 0.5 if self.torque_s.value > 0.0 else 0.0
 
+    def wanders_pct(self, seconds: float, settings: NoiseSettings = SETTINGS) -> float:
+        """How far the torque wanders in some time, rms in percent of duty. Where its correlation time is the longest
+        that windows tell, nothing says that it comes back: it walks on.
+        """
+        held = self.torque_s.value < settings.times_s[1]
+        return self.torque_pct.value if held else max(self.torque_pct.value, self.walk_pct * seconds**0.5)
+
     @property
     def torque_known(self) -> bool:
         """Whether there is a torque at all, within what the data can tell."""
