@@ -20,6 +20,7 @@ from fiohost.judging.missing_torque import missing_torque
 from fiohost.motor.effect import Value
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import free_run
+from fiohost.noise.average import Average
 from fiohost.report.preliminary import warnings
 from fiohost.report.words import verdict_sentence
 
@@ -196,8 +197,10 @@ def test_a_piece_of_a_record_goes_on_where_the_one_before_ended() -> None:
 def test_a_piece_of_a_record_knows_what_is_known_of_its_sensor() -> None:
     rng = np.random.default_rng(17)
     record = replace(measure(truth_model(), steps(10.0, rng), rng), noise_rms=0.3, quantum_found=True, regular=True)
+    record = replace(record, average=Average(0.8, 18.0))
     for piece in folds([record])[0]:
         assert (piece.noise_rms, piece.quantum_found, piece.regular) == (0.3, True, True)
+        assert piece.average == Average(0.8, 18.0)
 
 
 def test_a_record_is_cut_where_its_command_has_long_been_the_same() -> None:

@@ -100,7 +100,7 @@ def test_a_log_is_replayed_on_the_turn_on_which_its_shaft_met_an_end(tmp_path: P
         assert found.output == pytest.approx(record.y, abs=6.0)
 
 
-@pytest.mark.parametrize(("time_s", "is_noise"), [(0.5, True), (SETTINGS.times_s[1], False)])
+@pytest.mark.parametrize(("time_s", "is_noise"), [(0.5, True), (0.9 * SETTINGS.times_s[1], False)])
 def test_a_torque_of_which_nothing_says_that_it_comes_back_wanders_on(time_s: float, is_noise: bool) -> None:
     """4 % for half a second is what a bench may have. For as long as windows tell, it is an end of travel that one log
     met and the others did not.

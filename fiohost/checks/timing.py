@@ -36,11 +36,19 @@ def missing_ticks(case: Case) -> Iterator[Finding]:
 
 
 def found_step(case: Case) -> Iterator[Finding]:
-    """The sensor's step where nobody said it and the readings show it."""
+    """The sensor's step, and an average that smoothed it, where nobody said it and the readings show it."""
     if case.record.quantum_found:
         step = f"{case.record.quantum:.6g} {case.record.unit}"
         advice = f"all readings differ by multiples of {step}, which is taken for the sensor's step"
         yield case.finding("quantum_found", False, np.empty(0, dtype=np.int64), advice)
+    average = case.record.average
+    if average:
+        advice = (
+            f"each reading keeps {average.keeps:.4g} of the one before and takes the rest from speeds in steps of "
+            f"{average.quantum:.6g} {case.record.unit}: counted, and smoothed by the logger; what counts err by is "
+            "taken for smoothed too, and the lag is the effect speed_filter"
+        )
+        yield case.finding("average_found", False, np.empty(0, dtype=np.int64), advice)
 
 
 def doubtful_rows(case: Case) -> Iterator[Finding]:

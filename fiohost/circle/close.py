@@ -18,7 +18,7 @@ from fiohost.circle.evidence import diagnose
 from fiohost.circle.plan import fresh, log_names, suite
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
-from fiohost.estimation.bench import on_turns
+from fiohost.estimation.bench import joining
 from fiohost.estimation.record import record_from_log
 from fiohost.motor.model import Model
 
@@ -102,7 +102,7 @@ def close_loop(
     newest = fresh()
     say(f"running a fresh record: {newest.name}, {newest.duration_s:.0f} s")
     log = bench.run(newest, folder / f"{newest.name}.csv")
-    (newly,) = on_turns([record_from_log(log)], [*found.train, *found.holdout])
+    (newly,) = joining([record_from_log(log)], [*found.train, *found.holdout])
     checked = confirm(newly, found.declared, found.final)
     return Circle(found, checked, tuple(logs), log, followed)
 

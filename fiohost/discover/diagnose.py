@@ -25,7 +25,7 @@ from fiohost.discover.step import Step
 from fiohost.discover.unnamed import Unnamed, with_curves
 from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.errors import DataError
-from fiohost.estimation.bench import on_turns, pwm_of, with_bench
+from fiohost.estimation.bench import joining, pwm_of, with_bench
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, speed_unit
 from fiohost.estimation.seen import seen_of
@@ -168,7 +168,7 @@ def diagnose_records(
     if len(units) > 1:
         raise DataError(f"the logs measure different things ({', '.join(sorted(units))}); diagnose them apart")
     train, model = with_bench(train), model.on_axis(train[0].rotary).with_pwm(pwm_of([*train, *holdout]))
-    holdout = on_turns(holdout, train)
+    holdout = joining(holdout, train)
     # Records are shared among threads here; numpy's own threads on small matrices would only get in their way.
     with threadpool_limits(limits=1, user_api="blas"):
         return _diagnose(

@@ -50,7 +50,13 @@ def piece(record: Record, first: int, end: int, name: str) -> Record:
         own_zero=record.own_zero,
         segments=record.segments[a:b],
     )
-    found = replace(found, regular=record.regular, quantum_found=record.quantum_found, noise_rms=record.noise_rms)
+    found = replace(
+        found,
+        regular=record.regular,
+        quantum_found=record.quantum_found,
+        noise_rms=record.noise_rms,
+        average=record.average,
+    )
     if a == 0:
         return replace(found, begins=record.begins)
     duties, modes = found.excitation.duties_pct.copy(), found.excitation.modes.copy()

@@ -22,7 +22,7 @@ from fiohost.judging.replica import Replicas, another_day
 from fiohost.judging.stage import Stage
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
-from fiohost.noise.covariance import Movement
+from fiohost.noise.covariance import MEAN_SPEED, Movement
 from fiohost.noise.disturbance import Disturbance
 from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, pieces
 from fiohost.noise.runs import (
@@ -84,7 +84,8 @@ def motor_of(record: Record, model: Model) -> Motor:
     again.
     """
     gain, tau_s = model.number("linear.gain_deg_s_per_pct"), settling_s(model)
-    return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), record.kind, record.quantum, record.sample_time_s)
+    kind, quantum = (MEAN_SPEED, record.average.quantum) if record.average else (record.kind, record.quantum)
+    return Motor(float(f"{gain:.3g}"), float(f"{tau_s:.3g}"), kind, quantum, record.sample_time_s)
 
 
 def movements(records: Sequence[Record], model: Model, starts: Sequence[Start]) -> list[Movement]:
@@ -107,6 +108,8 @@ def noise_of(
         own = varied(model, runs.by_run.get(run_of(record.name), np.zeros(3)))
         residual, speed = simulated_in_windows(record, own, start)
         motor = motor_of(record, model)
+        if record.average:
+            residual = record.average.undone(residual, record.windows[:-1])
         driven = np.where(coasting(record), 0.0, speed)
         found += pieces(residual, driven, path.lag_s, record.windows, motor)
     declared = {r.noise_rms for r in records}
@@ -177,7 +180,9 @@ def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Se
     found = []
     for record, moves in zip(records, moving, strict=True):
         times = record.excitation.times_s
-        whitener = Whitener(times, moves, record.weights, *record.looked_at, motor_of(record, model), noise)
+        whitener = Whitener(
+            times, moves, record.weights, *record.looked_at, motor_of(record, model), noise, record.average
+        )
         found.append(replace(record, disturbance=Disturbance(noise, whitener)))
     return tuple(found)
 

@@ -31,7 +31,14 @@ def with_bench(records: Sequence[Record]) -> list[Record]:
     found = [replace(r, begins=i == earliest) for i, r in enumerate(on_turns(records))]
     if all(r.own_zero for r in found):
         found[0] = replace(found[0], own_zero=False)
-    return found
+    shown = next((r.average for r in found if r.average), None)
+    average = shown if shown and all(shown.holds(r.y) for r in found) else None
+    return [replace(r, average=average) for r in found]
+
+
+def joining(records: Sequence[Record], bench: Sequence[Record]) -> list[Record]:
+    """Further records of a ``bench``: on its turns, by its logger's average."""
+    return [replace(r, average=bench[0].average) for r in on_turns(records, bench)]
 
 
 def overlapping(records: Sequence[Record]) -> bool:

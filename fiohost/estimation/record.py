@@ -13,6 +13,7 @@ from fiohost.errors import DataError
 from fiohost.estimation.stamps import doubtful_modes, known_segments, true_times
 from fiohost.motor.model import MM_PER_M
 from fiohost.motor.simulate import Excitation
+from fiohost.noise.average import Average, found_average
 from fiohost.noise.quantum import found_quantum
 
 if TYPE_CHECKING:
@@ -54,8 +55,9 @@ class Record:
     to them is an array of their samples (k) alone. ``segments`` (n)
     number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
     ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
-    clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared. With a
-    ``disturbance`` windows are whitened, and bootstrap samples are drawn with it.
+    clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared,
+    ``average`` that through which its logger smoothed counted speeds. With a ``disturbance`` windows are whitened, and
+    bootstrap samples are drawn with it.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Record:
     regular: bool = False
     quantum_found: bool = False
     noise_rms: float | None = None
+    average: Average | None = None
     disturbance: Disturbance | None = None
 
     def __len__(self) -> int:
@@ -177,6 +180,7 @@ def thinned(record: Record, step_s: float) -> Record:
         excitation=replace(record.excitation, times_s=times),
         y=y,
         quantum=quantum,
+        average=None,
         sample_time_s=sample_time_s,
         segments=segments,
         windows=cut_windows(times, segments=segments),
@@ -342,5 +346,6 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         regular=times is not log.time_s,
         quantum_found=quantum > 0.0 and log.output_quantum <= 0.0,
         noise_rms=None if noise is None else noise * scale,
+        average=found_average(y, duty, quantum) if kind == SPEED else None,
         wraps=output == "angle_deg" and "pos" in log.columns and not log.pos_reset,
     )

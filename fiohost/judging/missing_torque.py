@@ -96,6 +96,8 @@ def missing_torque(record: Record, model: Model, residual: np.ndarray, noise: No
     """
     sensor, walk_pct = (noise.sensor.value, noise.walk_pct) if noise else (0.0, TORQUE.walk_pct)
     rounding = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
+    if record.average:
+        rounding = max(rounding, record.average.rms)
     sigma = float(np.hypot(rounding, sensor))
     if record.kind != ANGLE:
         residual = np.cumsum(residual * np.gradient(record.excitation.times_s))

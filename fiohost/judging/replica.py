@@ -77,13 +77,18 @@ class Replicas:
             truth = self.truth + shift
         else:
             truth = free_output(record, Flat.of(model), begin)
+        average, shown = record.average, truth
+        if average:
+            record = replace(record, kind=MEAN_SPEED, quantum=average.quantum)
+            truth = average.undone(truth, np.zeros(1, dtype=np.int64))
         if noise and noise.sensor.value > 0.0:
             truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
         if record.kind == ANGLE:
             return quantise(record, truth + 0.5 * record.quantum)
         if record.kind == MEAN_SPEED:
             truth[0] += rng.uniform(0.0, 1.0) * record.quantum  # where within its count the shaft stood
-        return quantise(record, truth)
+        read = quantise(record, truth)
+        return average.of(read, float(shown[0])) if average else read
 
     def left(self, rng: np.random.Generator, windows: bool, day: Record | None = None) -> np.ndarray:
         """What the model leaves (n) of a draw as a fit weighs it, in whole or in one-second ``windows``."""

@@ -61,10 +61,10 @@ class Noise:
         return self.torque_pct.value * (2.0 / self.torque_s.value) ** 0.5 if self.torque_s.value > 0.0 else 0.0
 
     def wanders_pct(self, seconds: float, settings: NoiseSettings = SETTINGS) -> float:
-        """How far the torque wanders in some time, rms in percent of duty. Where its correlation time is the longest
-        that windows tell, nothing says that it comes back: it walks on.
+        """How far the torque wanders in some time, rms in percent of duty. Where its correlation time is longer than
+        the longest pieces that it is from, nothing says that it comes back: it walks on.
         """
-        held = self.torque_s.value < settings.times_s[1]
+        held = self.torque_s.low <= settings.lengths_s[-1]
         return self.torque_pct.value if held else max(self.torque_pct.value, self.walk_pct * seconds**0.5)
 
     @property
@@ -78,8 +78,8 @@ class Noise:
         return not (self.torque_known or self.sensor.low > 0.0 or self.runs.known)
 
 
-# Directions in which a torque moves the output by less than this share of its largest variance do not count.
-LEAST_DIRECTION = 1e-9
+# Directions in which a torque adds less than this share to the variance do not count.
+LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
 
@@ -190,21 +190,29 @@ def _rounded(tau_s: float, settings: NoiseSettings) -> float:
 
 @lru_cache(maxsize=1024)
 def _sensed_part(
-    n: int, tau_s: float, step_s: float, time_s: float, quantum: float, sensors: tuple[float, ...], least: float
+    n: int,
+    tau_s: float,
+    step_s: float,
+    time_s: float,
+    quantum: float,
+    sensors: tuple[float, ...],
+    least: float,
+    most: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque; how many
     times these a torque of 1 % and a motor of unit gain has (sensors, k), and what a piece has along its directions
     (sensors, k, m), both in those of ``_counted_part``.
 
     Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
-    directions (Woodbury 1950).
+    directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
     """
     _, torque = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
     spread, apart = _counted_part(n, tau_s, step_s, time_s)
-    seen = np.flatnonzero(torque > LEAST_DIRECTION * torque.max())
-    acts = apart[seen].T * np.sqrt(torque[seen])
     own = spread * quantum**2 + np.array(sensors)[:, None] ** 2
     own += 1e-12 * own.max(axis=1, keepdims=True) + least
+    shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
+    seen = np.flatnonzero(shows > LEAST_DIRECTION)
+    acts = apart[seen].T * np.sqrt(torque[seen])
     weighed = acts.T[None] / own[:, None, :]  # (sensors, k, m)
     sizes, along = np.linalg.eigh(weighed @ acts)
     return own, np.maximum(sizes, 0.0), np.swapaxes(along, 1, 2) @ weighed
@@ -227,7 +235,10 @@ def _group_deviances(
     _, apart = _counted_part(n, tau_s, motor.step_s, time_s)
     # What serves again is kept but of long pieces, of which it would fill the memory.
     part = _sensed_part if n <= LONGEST_KEPT else _sensed_part.__wrapped__
-    own, sizes, along = part(n, tau_s, motor.step_s, time_s, motor.quantum, tuple(sensors.tolist()), least)
+    # A torque that would leave far more than there is need not be judged well.
+    enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
+    most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
+    own, sizes, along = part(n, tau_s, motor.step_s, time_s, motor.quantum, tuple(sensors.tolist()), least, most)
     left = apart.T @ left
     pulls = np.sum((along @ left) ** 2, axis=2)
     fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)

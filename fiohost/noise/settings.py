@@ -34,6 +34,8 @@ class NoiseSettings:
     sensor_zooms: int = 2
     zooms: int = 3
     near_deviance: float = 9.0
+    # A torque that alone would leave so many times what is left is judged roughly.
+    most_left: float = 3.0
     # What is left, from which sensor noise is looked for, is taken to so much of itself, in logarithms.
     noise_step: float = 0.25
     # A lag is taken to so much of itself: the shape of covariances does not hang on less.
@@ -65,6 +67,9 @@ class NoiseSettings:
     # fifth would be so near), over so many differences.
     on_step: float = 0.1
     least_steps: int = 8
+    # An average that forgets shows by a ratio of one change to the next that so many have; so many are tried.
+    least_ratios: int = 40
+    likely_ratios: int = 4
 
 
 SETTINGS = NoiseSettings()

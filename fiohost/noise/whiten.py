@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fiohost.noise.average import Average
 from fiohost.noise.covariance import MEAN_SPEED, Movement
 from fiohost.noise.estimate import Motor, Noise
 from fiohost.noise.innovations import COUNTED, LINKS, STATES, filters, follow, innovations
@@ -21,7 +22,8 @@ class Whitener:
     over the variance of each reading from a known start.
 
     For windows of samples ``firsts`` to ``lasts`` (m each) at ``times_s`` (n), in which the shaft moves as ``moving``
-    says; ``weights`` (n) are those by which counts that err alike are weighed together.
+    says; ``weights`` (n) are those by which counts that err alike are weighed together, ``average`` is what the logger
+    smoothed the readings by, which is undone.
     """
 
     def __init__(
@@ -33,7 +35,9 @@ class Whitener:
         lasts: np.ndarray,
         motor: Motor,
         noise: Noise,
+        average: Average | None = None,
     ) -> None:
+        self._average, self._begins = average, np.cumsum(lasts - firsts) - (lasts - firsts)
         long, all_lengths = lasts - firsts >= FEWEST, (lasts - firsts).astype(np.int64)
         lengths, self._samples = all_lengths[long], int(all_lengths.sum())
         places = np.cumsum(lengths) - lengths
@@ -66,6 +70,8 @@ class Whitener:
         if len(series) != self._samples:
             raise ValueError(f"{len(series)} samples of windows that hold {self._samples}")
         columns = np.ascontiguousarray(series, dtype=np.float64).reshape(len(series), -1)
+        if self._average:
+            columns = self._average.undone(columns, self._begins)
         out, states = np.zeros_like(columns), np.zeros((self._gains.shape[1], columns.shape[1]))
         innovations(columns, self._at, self._links, self._weights, self._gains, self._scales, states, out)
         return out.reshape(series.shape)
