@@ -129,7 +129,16 @@ def test_a_bench_has_the_average_that_one_log_shows_and_all_have() -> None:
     other = replace(unseen, y=unseen.y + np.random.default_rng(1).normal(0.0, 1.0, len(unseen)))
     assert [r.average for r in with_bench([one, other])] == [None, None]
     assert [r.average for r in joining([unseen], [one, two])] == [FILTERED]
-    assert thinned(one, 5.0 * TICK_S).average is None
+
+
+def test_of_every_third_reading_the_average_forgets_more_and_counts_are_finer() -> None:
+    record, lag_s = logged(16, model(None), 30.0), model(LAG_S)
+    third = thinned(record, 3.0 * TICK_S)
+    assert third.average == Average(pytest.approx(KEEPS**3), pytest.approx(COUNT / 3.0))
+    found = fit(lag_s, [third], windows=True)
+    sensor = noise_of(found.model, found.starts, [third]).sensor
+    assert sensor.low == 0.0
+    assert noise_of(found.model, found.starts, [replace(third, average=None)]).sensor.low > 0.8
 
 
 def test_the_average_is_told_before_anything_is_fitted() -> None:

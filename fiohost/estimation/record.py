@@ -180,7 +180,7 @@ def thinned(record: Record, step_s: float) -> Record:
         excitation=replace(record.excitation, times_s=times),
         y=y,
         quantum=quantum,
-        average=None,
+        average=record.average.of_every(every) if record.average else None,
         sample_time_s=sample_time_s,
         segments=segments,
         windows=cut_windows(times, segments=segments),

@@ -37,6 +37,10 @@ class Average:
         found[firsts] = series[firsts]
         return found
 
+    def of_every(self, readings: int) -> Average:
+        """That of every so many readings: between two of them it takes about the mean of the speeds."""
+        return Average(self.keeps**readings, self.quantum / readings)
+
     def holds(self, y: np.ndarray, settings: NoiseSettings = SETTINGS) -> bool:
         """Whether without it readings (n) differ by multiples of its counts, as some log showed."""
         times = np.diff(y[1:] - self.keeps * y[:-1]) / ((1.0 - self.keeps) * self.quantum)
