@@ -22,6 +22,7 @@ from fiohost.motor.simulate import Excitation, Start, run, seen_angle, start_sta
 from firmware_model.layout import LOAD_THETA, THETA, C
 from firmware_model.motor import Motor, constants, measured
 from firmware_model.plants import Plant, make_plant
+from firmware_model.report import PERIOD
 
 TICK_S = 0.005
 BRAKE, DRIVE, STANDBY = 2, 1, 0
@@ -185,7 +186,9 @@ def draw_plant(rng: random.Random, names: tuple[str, ...], *, friction: bool = T
 
 
 def draw_commands(rng: random.Random, span_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Modes and duties (n) in percent: held levels, ramps, sines, rests, brakes and run-downs one after another."""
+    """Modes and duties (n) in percent: held levels, ramps, sines, rests, brakes and run-downs one after another, in
+    steps of the board's timer: a pulse of a millionth of a period there is none.
+    """
     n, modes, duties = round(span_s / TICK_S), [], []
     while len(duties) < n:
         ticks = rng.randint(10, 120)
@@ -196,7 +199,8 @@ def draw_commands(rng: random.Random, span_s: float) -> tuple[np.ndarray, np.nda
         shape = {"level": np.ones(ticks), "ramp": 1.0 - 2.0 * t, "sine": np.sin(2 * np.pi * rng.uniform(0.5, 4.0) * t)}
         duties += list(size * shape[kind]) if mode == DRIVE else [0.0] * ticks
         modes += [mode] * ticks
-    return np.array(modes[:n], np.int64), np.array(duties[:n])
+    per_pct = PERIOD / 100.0
+    return np.array(modes[:n], np.int64), np.trunc(np.array(duties[:n]) * per_pct) / per_pct
 
 
 def as_model(plant: Plant) -> Model:

@@ -39,6 +39,7 @@ def test_an_effect_alone_means_the_same_on_both_sides(name: str) -> None:
 @pytest.mark.parametrize("index", range(60))
 def test_two_effects_together_mean_the_same_on_both_sides(index: int) -> None:
     pair = random.Random(f"pair {SEED} {index}").choice(PAIRS)
+    print(f"{pair}, seed {SEED}")  # shown where it fails, whatever way
     found = draw_run(pair, SEED, 6.0)
     assert found.agrees, f"{pair}, seed {SEED}: {found.first_deg:.4f} and {found.whole_deg:.4f} deg. {RULE}"
 
