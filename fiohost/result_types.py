@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 
 class ParameterResult(TypedDict):
@@ -92,9 +92,10 @@ class ResidualResult(TypedDict):
 
 
 class NoiseResult(TypedDict):
-    """Noise of sensor and torque."""
+    """Noise of sensor and torque; ``sensor_by_log`` is there where the sensor's differs between logs."""
 
     sensor_rms: ParameterResult
+    sensor_by_log: NotRequired[dict[str, float]]
     torque_rms_pct: ParameterResult
     torque_time_s: ParameterResult
 

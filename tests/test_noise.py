@@ -7,7 +7,8 @@ import pytest
 
 from fiohost.noise import covariance
 from fiohost.noise.draw import draw_torque
-from fiohost.noise.estimate import Motor, Noise, Ranged, estimate, pieces
+from fiohost.noise.estimate import Noise, Ranged, estimate
+from fiohost.noise.likelihood import Motor, pieces
 from fiohost.noise.quantum import found_quantum
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 

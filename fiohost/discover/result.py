@@ -42,7 +42,9 @@ def _parameters(diagnosis: Diagnosis, stage: Stage, only: str | None = None) -> 
 
 
 def _noise(found: Diagnosis) -> dict[str, Any] | None:
-    """What is left beside counts: the sensor's noise and a random torque with its correlation time."""
+    """What is left beside counts: the sensor's noise, each log's own where they differ, and a random torque with its
+    correlation time.
+    """
     if found.noise is None or not found.noise.samples:
         return None
     noise, unit = found.noise, found.train[0].unit
@@ -51,8 +53,10 @@ def _noise(found: Diagnosis) -> dict[str, Any] | None:
     def told(ranged: Ranged, unit: str, identifiable: bool) -> dict[str, Any]:
         return Estimate(ranged.value, unit, (ranged.low, ranged.high), identifiable, False).to_json()
 
+    by_log = {name: times * noise.sensor.value for name, times in noise.louder.items()}
     return {
         "sensor_rms": told(noise.sensor, unit, True),
+        **({"sensor_by_log": by_log} if by_log else {}),
         "torque_rms_pct": told(noise.torque_pct, "%", True),
         "torque_time_s": told(noise.torque_s, "s", torque),
     }

@@ -24,7 +24,8 @@ from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.covariance import MEAN_SPEED, Movement
 from fiohost.noise.disturbance import Disturbance
-from fiohost.noise.estimate import NONE, Group, Motor, Noise, estimate, pieces
+from fiohost.noise.estimate import NONE, Noise, estimate
+from fiohost.noise.likelihood import Group, Motor, pieces
 from fiohost.noise.runs import (
     NO_PULL,
     NO_SCATTER,
@@ -111,7 +112,7 @@ def noise_of(
         if record.average:
             residual = record.average.undone(residual, record.windows[:-1])
         driven = np.where(coasting(record), 0.0, speed)
-        found += pieces(residual, driven, path.lag_s, record.windows, motor)
+        found += pieces(residual, driven, path.lag_s, record.windows, motor, run_of(record.name))
     declared = {r.noise_rms for r in records}
     return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
 
@@ -171,7 +172,9 @@ def weighed(records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarra
     for record, by in zip(records, columns, strict=True):
         assert record.disturbance is not None
         own = Own.of(noise.runs.by_run[run_of(record.name)], by, noise.runs.sd)
-        found.append(replace(record, disturbance=replace(record.disturbance, noise=noise, own=own)))
+        found.append(
+            replace(record, disturbance=replace(record.disturbance, noise=noise.of(run_of(record.name)), own=own))
+        )
     return tuple(found)
 
 
@@ -179,17 +182,17 @@ def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Se
     """The records with their windows whitened by a noise; what differs between runs is left as it is."""
     found = []
     for record, moves in zip(records, moving, strict=True):
-        times = record.excitation.times_s
+        times, here = record.excitation.times_s, noise.of(run_of(record.name))
         whitener = Whitener(
-            times, moves, record.weights, *record.looked_at, motor_of(record, model), noise, record.average
+            times, moves, record.weights, *record.looked_at, motor_of(record, model), here, record.average
         )
-        found.append(replace(record, disturbance=Disturbance(noise, whitener)))
+        found.append(replace(record, disturbance=Disturbance(here, whitener)))
     return tuple(found)
 
 
 def drawing(records: Sequence[Record], noise: Noise) -> list[Record]:
     """The records with their bootstrap samples drawn with a noise, their windows as they are."""
-    return [replace(r, disturbance=Disturbance(noise)) for r in records]
+    return [replace(r, disturbance=Disturbance(noise.of(run_of(r.name)))) for r in records]
 
 
 def plain(records: Sequence[Record]) -> list[Record]:

@@ -1,20 +1,18 @@
 """Sensor noise and random torque, estimated from what a model leaves in pieces of steady motion.
 
-The residual of a piece is N(0, sigma_m^2 I + counts + sigma_p^2 H C(tau_d) H'), H the motor from torque to output.
-What the piece's own angle and speed at its beginning can take is projected off: restricted maximum likelihood
-(Patterson and Thompson 1971). The deviance is looked at on a grid, ever closer around its minimum; intervals are where
-its profile stays near that (Wilks 1938).
+The deviance of their likelihood is looked at on a grid, ever closer around its minimum; intervals are where its profile
+stays near that (Wilks 1938). A sensor may be louder in one run than in the next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
+from scipy.special import chdtri
 
-from fiohost.noise import covariance
+from fiohost.noise.likelihood import LEAST_VARIANCE, Group, deviances, merged
 from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
@@ -33,6 +31,7 @@ class Noise:
     """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
     with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
     ``samples`` are those that it is from. ``likely`` (k, 3) are draws of the three together, as data leave them open.
+    ``louder`` says by run how many times its sensor's noise is that of all; it is empty where they are alike.
     """
 
     sensor: Ranged
@@ -41,6 +40,7 @@ class Noise:
     deviance: float = 0.0
     samples: int = 0
     runs: RunToRun = NO_SCATTER
+    louder: Mapping[str, float] = field(default_factory=dict)
     likely: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def drawn(self, u: float) -> Noise:
@@ -49,6 +49,20 @@ class Noise:
             return self
         sensor, torque_pct, torque_s = (Ranged(v, v, v) for v in self.likely[int(u * len(self.likely))].tolist())
         return replace(self, sensor=sensor, torque_pct=torque_pct, torque_s=torque_s)
+
+    def of(self, run: str) -> Noise:
+        """The noise of one run; of another than those that were looked at as loud as any of them."""
+        if not self.louder:
+            return self
+        if run in self.louder:
+            times, sensor = self.louder[run], self.sensor
+            own = Ranged(times * sensor.value, times * sensor.low, times * sensor.high)
+            return replace(self, sensor=own, likely=self._as_loud([times]), louder={})
+        return replace(self, likely=self._as_loud(list(self.louder.values())), louder={})
+
+    def _as_loud(self, times: Sequence[float]) -> np.ndarray | None:
+        """The likely draws with the sensor so many times as loud, one after the other."""
+        return None if self.likely is None else np.vstack([self.likely * (k, 1.0, 1.0) for k in times])
 
     def near(self, other: Noise, share: float) -> bool:
         """Whether another noise differs by no more than a share of what these intervals leave open."""
@@ -78,188 +92,10 @@ class Noise:
         return not (self.torque_known or self.sensor.low > 0.0 or self.runs.known)
 
 
-# Directions in which a torque adds less than this share to the variance do not count.
-LEAST_DIRECTION = 1e-3
-# No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
-LEAST_VARIANCE = 1e-12
-
-# Parts of pieces of so many samples at most are kept: each takes 10 n^2 numbers.
-LONGEST_KEPT = 60
-
 # By so much a profile's deviance rises at the ends of a 95 % interval where pieces are independent.
 CHI_SQUARED_95 = 3.841
 
 NONE = Noise(Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0), Ranged(0.0, 0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class Motor:
-    """The fitted motor as a torque meets it, and the sensor: ``gain`` in the output's unit per percent (of an angle:
-    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples.
-    """
-
-    gain: float
-    tau_s: float
-    kind: int
-    quantum: float
-    step_s: float
-
-
-@dataclass(frozen=True)
-class Group:
-    """Pieces of one length and motor: what a model leaves of each (n, pieces), in the output's unit."""
-
-    residuals: np.ndarray = field(repr=False)
-    motor: Motor
-
-
-def pieces(
-    residual: np.ndarray,
-    speed: np.ndarray,
-    lag_s: np.ndarray,
-    edges: np.ndarray,
-    motor: Motor,
-    settings: NoiseSettings = SETTINGS,
-) -> list[Group]:
-    """Pieces of steady motion, of one of the settled lengths each, those of one length and lag together.
-
-    ``residual`` (n) is what windows with free angle and speed leave, ``speed`` (n) the model's in the output's unit per
-    second and ``lag_s`` (n) that with which it settles, ``edges`` (m + 1) those of the windows. Where the model stands,
-    turns or creeps there is no piece: counts do not err at random there, and the shaft may have turned while the model
-    did not.
-    """
-    lengths = sorted({max(round(s / motor.step_s), settings.shortest_samples) for s in settings.lengths_s})
-    slowest = settings.slowest_share * float(np.max(np.abs(speed), initial=0.0))
-    if motor.kind == covariance.ANGLE:
-        slowest = max(slowest, settings.slowest_counts * motor.quantum / motor.step_s)
-    way = np.sign(speed) * (np.abs(speed) > slowest)
-    found: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        turns = [a, *(a + 1 + np.flatnonzero(np.diff(way[a:b]))).tolist(), b]
-        for first, last in zip(turns[:-1], turns[1:], strict=True):
-            while last - first >= lengths[0] and way[first] != 0.0:
-                n = max(length for length in lengths if length <= last - first)
-                longer = max(float(np.median(lag_s[first : first + n])), 1e-9) / motor.tau_s
-                found.setdefault(round(np.log(longer) / settings.lags_apart), []).append(
-                    (residual[first : first + n], longer)
-                )
-                first += n
-    groups = []
-    for alike in sorted(found.values(), key=lambda parts: sum(len(p) for p, _ in parts))[-settings.most_lags :]:
-        longer = float(np.median([one for _, one in alike]))
-        there = replace(motor, gain=motor.gain * longer, tau_s=motor.tau_s * longer)
-        for n in sorted({len(p) for p, _ in alike}):
-            groups.append(Group(np.column_stack([p for p, _ in alike if len(p) == n]), there))
-    return groups
-
-
-def _merged(groups: Sequence[Group]) -> list[Group]:
-    """Groups of one length and motor as one."""
-    alike: dict[tuple[int, Motor], list[np.ndarray]] = {}
-    for group in groups:
-        alike.setdefault((len(group.residuals), group.motor), []).append(group.residuals)
-    return [Group(np.column_stack(parts), motor) for (_, motor), parts in alike.items()]
-
-
-@lru_cache(maxsize=1024)
-def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of pieces of n samples: the basis (n, m) outside their starts in which the torque's covariance is diagonal, and
-    that diagonal (m) for 1 % and a motor of unit gain.
-    """
-    times, moving = np.arange(n) * step_s, covariance.Movement.steady(n, tau_s)
-    free = covariance.outside(covariance.starts(times, moving, kind))
-    acts = free.T @ covariance.response(times, moving, 1.0, tau_s, kind)
-    values, vectors = np.linalg.eigh(acts @ covariance.torque(times, time_s) @ acts.T)
-    return free @ vectors, np.maximum(values, 0.0)
-
-
-@lru_cache(maxsize=1024)
-def _counted_part(n: int, tau_s: float, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of pieces of n mean speeds: variances (m) that counts of a unit quantum have along directions (m, m) in which
-    they are apart from each other, in the basis of ``_torque_part``.
-    """
-    basis, _ = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
-    values, vectors = np.linalg.eigh(basis.T @ covariance.counts(n, 1.0, covariance.MEAN_SPEED) @ basis)
-    return np.maximum(values, 0.0), vectors
-
-
-def _rounded(tau_s: float, settings: NoiseSettings) -> float:
-    """A lag near enough for the shape of covariances, so that work on them serves for all models of one motor."""
-    return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
-
-
-@lru_cache(maxsize=1024)
-def _sensed_part(
-    n: int,
-    tau_s: float,
-    step_s: float,
-    time_s: float,
-    quantum: float,
-    sensors: tuple[float, ...],
-    least: float,
-    most: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque; how many
-    times these a torque of 1 % and a motor of unit gain has (sensors, k), and what a piece has along its directions
-    (sensors, k, m), both in those of ``_counted_part``.
-
-    Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
-    directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
-    """
-    _, torque = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
-    spread, apart = _counted_part(n, tau_s, step_s, time_s)
-    own = spread * quantum**2 + np.array(sensors)[:, None] ** 2
-    own += 1e-12 * own.max(axis=1, keepdims=True) + least
-    shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
-    seen = np.flatnonzero(shows > LEAST_DIRECTION)
-    acts = apart[seen].T * np.sqrt(torque[seen])
-    weighed = acts.T[None] / own[:, None, :]  # (sensors, k, m)
-    sizes, along = np.linalg.eigh(weighed @ acts)
-    return own, np.maximum(sizes, 0.0), np.swapaxes(along, 1, 2) @ weighed
-
-
-def _group_deviances(
-    group: Group, time_s: float, sensors: np.ndarray, torques: np.ndarray, least: float, settings: NoiseSettings
-) -> np.ndarray:
-    """-2 log likelihood (sensors, torques) of the pieces of a group, but for a constant; no variance is below
-    ``least``.
-    """
-    (n, count), motor = group.residuals.shape, group.motor
-    tau_s = _rounded(motor.tau_s, settings)
-    basis, torque = _torque_part(n, tau_s, motor.kind, motor.step_s, time_s)
-    left, power = basis.T @ group.residuals, (torques * motor.gain) ** 2
-    if motor.kind != covariance.MEAN_SPEED:
-        own = sensors**2 + motor.quantum**2 / 12.0 + least
-        variance = own[:, None, None] + power[None, :, None] * torque
-        return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
-    _, apart = _counted_part(n, tau_s, motor.step_s, time_s)
-    # What serves again is kept but of long pieces, of which it would fill the memory.
-    part = _sensed_part if n <= LONGEST_KEPT else _sensed_part.__wrapped__
-    # A torque that would leave far more than there is need not be judged well.
-    enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
-    most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
-    own, sizes, along = part(n, tau_s, motor.step_s, time_s, motor.quantum, tuple(sensors.tolist()), least, most)
-    left = apart.T @ left
-    pulls = np.sum((along @ left) ** 2, axis=2)
-    fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)
-    grown = 1.0 + power[None, :, None] * sizes[:, None, :]
-    pulled = power[None, :, None] / grown * pulls[:, None, :]
-    return np.asarray(fixed[:, None] + np.sum(count * np.log(grown) - pulled, axis=2))
-
-
-def _deviances(
-    groups: Sequence[Group],
-    settings: NoiseSettings,
-    axes: Sequence[np.ndarray],
-    least: float,
-) -> np.ndarray:
-    """-2 log likelihood (times, sensors, torques) at all of the ``axes`` together, but for a constant."""
-    times_s, sensors, torques = axes
-
-    def of(group: Group, time_s: float) -> np.ndarray:
-        return _group_deviances(group, time_s, sensors, torques, least, settings)
-
-    return np.array([sum(of(g, t) for g in groups) for t in times_s.tolist()])
 
 
 def estimate(
@@ -269,7 +105,34 @@ def estimate(
     settings: NoiseSettings = SETTINGS,
 ) -> Noise:
     """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
-    groups = _merged(groups)
+    found = _estimate(merged(groups), sensor, settings)
+    louder = _louder(groups, found, settings) if sensor is None and found.sensor.low > 0.0 else {}
+    if not louder:
+        return found
+    own = merged([replace(g, louder=louder[g.run]) for g in groups])
+    return replace(_estimate(own, None, settings), louder=louder)
+
+
+def _louder(groups: Sequence[Group], noise: Noise, settings: NoiseSettings) -> dict[str, float]:
+    """By run, how many times its sensor's noise is that of all of them; empty where chance would do (Bartlett 1937)."""
+    looks, sensor = np.geomspace(*settings.louder_span, settings.louder_looks), noise.sensor.value
+    time_s = noise.torque_s.value or settings.times_s[0]
+    axes = [np.array([time_s]), sensor * looks, np.array([noise.torque_pct.value])]
+    by_run: dict[str, list[Group]] = {}
+    for group in groups:
+        by_run.setdefault(group.run, []).append(group)
+    louder, gain = {}, 0.0
+    for run, parts in by_run.items():
+        profile = deviances(merged(parts), settings, axes, LEAST_VARIANCE * sensor**2)[0, :, 0]
+        louder[run] = _ranged(looks, profile, settings).value
+        gain += float(profile[len(looks) // 2] - profile.min())
+    free = len(by_run) - 1
+    by_chance = chdtri(free, settings.louder_chance) if free else np.inf
+    return louder if gain > by_chance * settings.interval_deviance / CHI_SQUARED_95 else {}
+
+
+def _estimate(groups: Sequence[Group], sensor: float | None, settings: NoiseSettings) -> Noise:
+    """The noise of groups, each as loud as it says."""
     samples = sum(g.residuals.size for g in groups)
     if samples == 0:
         return NONE if sensor is None else Noise(Ranged(sensor, sensor, sensor), NONE.torque_pct, NONE.torque_s)
@@ -284,29 +147,29 @@ def estimate(
     axes = [times, sensors, torques]
     # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
     for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
-        deviances = _deviances(groups, settings, axes, least)
+        looks = deviances(groups, settings, axes, least)
         for i in closer:
-            axes[i] = _closer(axes[i], _profile(deviances, i), settings)
-    deviances = _deviances(groups, settings, axes, least)
-    best = np.unravel_index(int(np.argmin(deviances)), deviances.shape)
-    ranged = [_ranged(x, _profile(deviances, i), settings) for i, x in enumerate(axes)]
+            axes[i] = _closer(axes[i], _profile(looks, i), settings)
+    looks = deviances(groups, settings, axes, least)
+    best = np.unravel_index(int(np.argmin(looks)), looks.shape)
+    ranged = [_ranged(x, _profile(looks, i), settings) for i, x in enumerate(axes)]
     time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)
-    return Noise(ranged[1], ranged[2], time, float(deviances.min()), samples, likely=_likely(deviances, axes, settings))
+    return Noise(ranged[1], ranged[2], time, float(looks.min()), samples, likely=_likely(looks, axes, settings))
 
 
-def _likely(deviances: np.ndarray, axes: Sequence[np.ndarray], settings: NoiseSettings) -> np.ndarray:
+def _likely(looks: np.ndarray, axes: Sequence[np.ndarray], settings: NoiseSettings) -> np.ndarray:
     """Draws (k, 3) of sensor, torque and its time, as likely as the data say, from looks (times, sensors, torques)
     around their best: at even steps of the likelihood summed up (systematic sampling).
     """
     counts = CHI_SQUARED_95 / settings.interval_deviance
-    chance = np.cumsum(np.exp(-0.5 * counts * (deviances - deviances.min())).ravel())
+    chance = np.cumsum(np.exp(-0.5 * counts * (looks - looks.min())).ravel())
     steps = (np.arange(settings.likely) + 0.5) / settings.likely * chance[-1]
-    times, sensors, torques = np.unravel_index(np.searchsorted(chance, steps), deviances.shape)
+    times, sensors, torques = np.unravel_index(np.searchsorted(chance, steps), looks.shape)
     return np.column_stack([axes[1][sensors], axes[2][torques], axes[0][times]])
 
 
-def _profile(deviances: np.ndarray, axis: int) -> np.ndarray:
-    return np.asarray(deviances.min(axis=tuple(i for i in range(deviances.ndim) if i != axis)))
+def _profile(looks: np.ndarray, axis: int) -> np.ndarray:
+    return np.asarray(looks.min(axis=tuple(i for i in range(looks.ndim) if i != axis)))
 
 
 def _closer(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> np.ndarray:

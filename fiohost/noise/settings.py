@@ -52,6 +52,11 @@ class NoiseSettings:
     run_coarse: int = 4
     run_sweeps: int = 3
     run_deviance: float = 6.63
+    # How many times louder a sensor is in one run than in all of them is looked for in this span; it is believed at the
+    # 99.9 % point of chi-squared.
+    louder_span: tuple[float, float] = (0.25, 4.0)
+    louder_looks: int = 25
+    louder_chance: float = 1e-3
     # So many draws of what the noise may be: bootstrap samples take theirs from them.
     likely: int = 64
     # A window's start goes by readings that a random torque has not moved far yet, one of no more than this: while much

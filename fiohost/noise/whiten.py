@@ -8,8 +8,9 @@ import numpy as np
 
 from fiohost.noise.average import Average
 from fiohost.noise.covariance import MEAN_SPEED, Movement
-from fiohost.noise.estimate import Motor, Noise
+from fiohost.noise.estimate import Noise
 from fiohost.noise.innovations import COUNTED, LINKS, STATES, filters, follow, innovations
+from fiohost.noise.likelihood import Motor
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
 # Of fewer samples a window's own start takes all.

@@ -178,7 +178,9 @@ def _noise(diagnosis: Mapping[str, Any]) -> str:
         told = noise[key]
         if told["ci95"][0] > 0.0:
             unit = "% of duty" if key == "torque_rms_pct" else told["unit"]
-            parts.append(f"{what} of {with_unit(told['value'], unit, 2)} rms")
+            own = (noise.get("sensor_by_log") or {}).values() if key == "sensor_rms" else ()
+            by_log = f" ({number(min(own), 2)} to {number(max(own), 2)} by log)" if own else ""
+            parts.append(f"{what} of {with_unit(told['value'], unit, 2)} rms{by_log}")
     if noise["torque_rms_pct"]["ci95"][0] > 0.0:
         parts[-1] += f" that lasts {with_unit(noise['torque_time_s']['value'], 's', 2)}"
     return f" What is left is {listed(parts)}." if parts else ""

@@ -14,7 +14,8 @@ from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 from fiohost.noise.covariance import Movement
-from fiohost.noise.estimate import Motor, Noise
+from fiohost.noise.estimate import Noise
+from fiohost.noise.likelihood import Motor
 from fiohost.noise.runs import varied
 from fiohost.noise.whiten import Whitener
 from fiohost.watch.candidates import Candidate, drifting
