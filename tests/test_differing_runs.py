@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,6 +56,48 @@ def test_how_runs_differ_is_neither_an_effect_nor_noise(nothing: Diagnosis) -> N
     assert "constant_load.level_pct" in told["run_to_run"]
     # Offsets that are left over would be taken for a torque of some tenths of a percent that wanders slowly.
     assert told["noise"]["torque_rms_pct"]["value"] < 0.1
+
+
+def loaded_runs(loads_pct: Sequence[float]) -> list[Record]:
+    """Runs of a motor whose gain and friction differ a little, each with its own load."""
+    rng, records = np.random.default_rng(11), []
+    for k, load_pct in enumerate(loads_pct):
+        own = {
+            "linear.gain_deg_s_per_pct": 10.6 * (1.0 + 0.5 * GAIN_SD * rng.standard_normal()),
+            "coulomb_friction.level_pct": 3.0 * (1.0 + 0.5 * FRICTION_SD * rng.standard_normal()),
+            "constant_load.level_pct": load_pct,
+        }
+        shape = (multisine, steps)[k % 2]
+        records.append(measure(truth_model(("coulomb_friction", "constant_load"), own), shape(8.0, rng), rng))
+        records[-1] = replace(records[-1], name=f"run {k}")
+    return records
+
+
+@pytest.mark.parametrize(
+    ("loads_pct", "named"),
+    [((1.6, 1.25, 1.7), []), ((3.4, 2.6, 3.0, 3.3, 2.9), ["constant_load"])],
+)
+def test_loads_of_few_runs_have_a_mean_by_chance(loads_pct: Sequence[float], named: list[str]) -> None:
+    """One of four benches whose loads scatter about nil has three of one sign; their mean is no effect, nor is what
+    looks like it.
+    """
+    library = ["constant_load", "asymmetric_coulomb_friction", "asymmetric_deadband", "static_friction"]
+    found = diagnose_records(loaded_runs(loads_pct), (), Model.parse("linear+coulomb_friction"), library=library)
+    assert [s.effect for s in found.steps] == named
+    assert (found.verdict, found.explained_to) == ("explained" if named else "no_missing_effect", "repeatability")
+
+
+@pytest.mark.parametrize(
+    ("runs", "level_pct", "chance"), [(3, 1.9, True), (3, 2.1, False), (5, 0.9, True), (5, 1.0, False)]
+)
+def test_a_common_load_is_told_from_chance_by_how_many_runs_there_are(
+    runs: int, level_pct: float, chance: bool
+) -> None:
+    """The 99 % point of Student's distribution is 9.92 standard errors with three runs, 4.60 with five."""
+    own = {f"run {k}": np.zeros(3) for k in range(runs)}
+    found = RunToRun(np.array([0.0, 0.0, 0.3]), np.zeros((3, 2)), own, load_error_pct=0.2)
+    assert found.load_by_chance(level_pct, 1.0) == chance
+    assert not RunToRun(np.zeros(3), np.zeros((3, 2)), own).load_by_chance(level_pct, 1.0)
 
 
 def test_what_is_a_run_s_own_adds_to_what_it_was_taken_for() -> None:

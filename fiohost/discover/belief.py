@@ -59,6 +59,8 @@ class Belief(Generic[J]):
     def objection(self, node: Node, child: Child, null: Null) -> str | None:
         """Why a candidate is not believed, or None."""
         s, e, of, after = self.settings, self.evidence, child.effect, child.state
+        if after is node.state:
+            return "is within what differs from run to run"
         left = after.fit.rms / self.stage(node).floor_rms if e.exact else np.inf
         finished = left <= s.finished
         if e.exact and of.once and left > s.lost:

@@ -142,6 +142,10 @@ class Evidence(ABC, Generic[J]):
     def gain(self, before: State, after: State) -> Gain:
         """How much less deviance one state leaves than another in data left out of their fits."""
 
+    def held_against(self, state: State, found: Sequence[tuple[Effect, State]]) -> State:
+        """What candidates ``found`` beside a state have to leave less than: it, with what chance may do in it."""
+        return state
+
     def in_place_of(
         self, state: State, name: str, library: Sequence[str] | None, say: Progress
     ) -> list[tuple[Effect, State]]:

@@ -205,16 +205,18 @@ class Search(Generic[J]):
 
     def believed(self, node: Node, beside: Beside, found: Sequence[tuple[Effect, State]]) -> tuple[list[Child], Null]:
         """Of the effects ``found`` beside a node those that are believed, the best first, and what chance reaches."""
-        children = [Child(effect, state, node.state.deviance - state.deviance) for effect, state in found]
+        against = self.evidence.held_against(node.state, found)
+        base = node if against is node.state else Node(against, node.added)
+        children = [Child(effect, state, against.deviance - state.deviance) for effect, state in found]
         children.sort(key=lambda c: c.price)
         if not children:
             node.far = True
             return [], Null(0.0, {}, ())
         null = beside.null(children[0].state, lambda null: not any(self.belief.close(c, null) for c in children))
-        whys = each(lambda c: self.belief.objection(node, c, null), children)
+        whys = each(lambda c: self.belief.objection(base, c, null), children)
         accepted = self.belief.in_order([c for c, why in zip(children, whys, strict=True) if why is None])
         beyond = [c for c in children if c.gain > self.belief.asked(c, null)] if not accepted else []
-        node.lacks = any(self.belief.surely(node, c) for c in beyond)
+        node.lacks = any(self.belief.surely(base, c) for c in beyond)
         beaten = f"does less well than {accepted[0].name}" if accepted else None
         self.told += [
             Candidate(c.name, c.share, why or (None if c.name == accepted[0].name else beaten))

@@ -14,7 +14,7 @@ from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import State
 from fiohost.discover.null import draw_null
 from fiohost.discover.objective import PlainWindows
-from fiohost.discover.optimise import thorough_fit
+from fiohost.discover.optimise import again, thorough_fit
 from fiohost.discover.score import Gain, left_out, objection
 from fiohost.discover.screen import Screen
 from fiohost.discover.settings import SETTINGS, SearchSettings
@@ -22,9 +22,9 @@ from fiohost.discover.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.followed import ruled
-from fiohost.motor.effect import effect
+from fiohost.motor.effect import Effect, effect
 from fiohost.noise.estimate import Noise
-from fiohost.noise.runs import NO_SCATTER, run_of, varied
+from fiohost.noise.runs import LOAD, LOAD_EFFECT, NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
 
 
@@ -91,6 +91,19 @@ class WeighedWindows(PlainWindows):
             found = fit(near.model, self.plain, windows=True, starts=near.starts, max_iterations=20, tolerance=1e-4)
             self._as_they_are[state] = found
         return self._as_they_are[state]
+
+    def held_against(self, state: State, found: Sequence[tuple[Effect, State]]) -> State:
+        """The state, a load beside it where runs differ in theirs, and few of them may have one in common by chance."""
+        if state.noise is None or LOAD_EFFECT in state.fit.model.effects:
+            return state
+        loaded = next((s for of, s in found if of.name == LOAD_EFFECT), None)
+        if loaded is None and state.noise.runs.sd[LOAD] > 0.0:
+            begun = state.fit.model.with_effect(LOAD_EFFECT, {"level_pct": 0.0})
+            loaded = self.settled(again(state.fit, begun, state.records), whitened=True)
+        if loaded is None or loaded.noise is None or loaded.deviance > state.deviance:
+            return state
+        level = loaded.fit.model.number(f"{LOAD_EFFECT}.level_pct")
+        return loaded if loaded.noise.runs.load_by_chance(level, self.margin) else state
 
     def taken_beside_noise(self, before: State, after: State) -> float:
         """The share of the squared error that one state takes of another's under the noise that it leaves, each run

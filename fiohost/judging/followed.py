@@ -247,8 +247,9 @@ def ruled(
 ) -> tuple[str, ...]:
     """What the torque that ``models`` (one a record) lack follows beside what is each record's own: angle, speed, duty,
     a friction or a gain that changes in a record; each by more than ``least_share`` of it, and by more than the 99 %
-    point of bootstrap samples with the ``noise``, each judged by one of the ``estimates`` that samples give (one a
-    record each). A random torque follows nothing but itself, in time. ``sigmas`` are as ``levels_of`` takes them.
+    point that the largest of all of them has in bootstrap samples with the ``noise``, each judged by one of the
+    ``estimates`` that samples give (one a record each). A random torque follows nothing but itself, in time. ``sigmas``
+    are as ``levels_of`` takes them.
     """
 
     def lacking(judges: Sequence[Model], data: Sequence[np.ndarray | None]) -> dict[str, float]:
@@ -257,8 +258,9 @@ def ruled(
             return {}
         return _Torque.of(records, judges[0], found, noise).beside_own().shares()
 
-    shares = {n: share for n, share in lacking(models, [None] * len(records)).items() if share > least_share}
-    if not shares:
+    shares = lacking(models, [None] * len(records))
+    large = [n for n, share in shares.items() if share > least_share]
+    if not large:
         return ()
 
     def draw(i: int) -> list[float]:
@@ -270,7 +272,8 @@ def ruled(
     drawn = np.array(each(draw, range(len(estimates))))
     drawn = drawn[np.isfinite(drawn).all(axis=1)]  # an estimate that runs away says nothing
     levels = levels_of(drawn, sigmas) if len(drawn) > 1 else np.full(len(shares), np.inf)
-    return tuple(n for n, level in zip(shares, levels.tolist(), strict=True) if shares[n] > level)
+    level = dict(zip(shares, levels.tolist(), strict=True))
+    return tuple(n for n in large if shares[n] > level[n])
 
 
 def force_curves(before: Sequence[Dependence], after: Sequence[Dependence]) -> list[ForceCurve]:

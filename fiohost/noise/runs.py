@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import fdtri, stdtr
 
 from fiohost.motor.hooks import EFFECT_INDEX
 from fiohost.motor.model import Model, slot
@@ -49,13 +49,15 @@ NO_PULL = Pull(np.zeros((3, 3)), np.zeros(3))
 class RunToRun:
     """Standard deviations (3) of gain (share), dry friction (share) and offset load (percent of duty) over runs, their
     95 % intervals (3, 2), and by run the most likely values (3), shrunk to none by what the run does not say;
-    ``common_load`` is the runs' mean load over its standard error, nil where the load does not scatter.
+    ``common_load`` is the runs' mean load over its standard error, and that ``load_error_pct``; nil where the load does
+    not scatter.
     """
 
     sd: np.ndarray
     ci95: np.ndarray
     by_run: dict[str, np.ndarray] = field(default_factory=dict)
     common_load: float = 0.0
+    load_error_pct: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -75,6 +77,13 @@ class RunToRun:
         """Whether the runs have a load in common (Student 1908), but for so small a ``chance``: it does not differ."""
         free = len(self.by_run) - 1
         return free > 0 and 2.0 * float(stdtr(free, -abs(self.common_load))) < chance
+
+    def load_by_chance(self, level_pct: float, times: float) -> bool:
+        """Whether runs differ in their loads, and a ``level_pct`` that these have in common is within so many ``times``
+        the 99 % point of what the mean of so few has of none, in deviance (Student 1908).
+        """
+        free, error = len(self.by_run) - 1, self.load_error_pct
+        return error > 0.0 and free > 0 and (level_pct / error) ** 2 <= times * float(fdtri(1, free, 0.99))
 
     def likely_sd(self, rng: np.random.Generator) -> np.ndarray:
         """``sd`` (3) as it may be, one draw: few runs say little of how they scatter (Student 1908). What they have in
@@ -171,14 +180,16 @@ def _deviances(pulls: Sequence[Pull], sds: np.ndarray) -> np.ndarray:
     return _mean_of(pulls, sds).deviance
 
 
-def _common_load(pulls: Sequence[Pull], sd: np.ndarray) -> float:
-    """The runs' mean load under a scatter (3), over its standard error; nil where the load does not scatter."""
+def _common_load(pulls: Sequence[Pull], sd: np.ndarray) -> tuple[float, float]:
+    """The runs' mean load under a scatter (3), over its standard error, and that; nil where the load does not
+    scatter.
+    """
     if sd[LOAD] <= 0.0:
-        return 0.0
+        return 0.0, 0.0
     mean = _mean_of(pulls, sd[None])
     by_load = np.where(mean.seen[0], mean.vectors[0, LOAD], 0.0)
-    variance = float(by_load**2 @ (1.0 / mean.values[0]))
-    return float(by_load @ (mean.along[0] / mean.values[0])) / float(np.sqrt(variance)) if variance > 0.0 else 0.0
+    error = float(np.sqrt(by_load**2 @ (1.0 / mean.values[0])))
+    return (float(by_load @ (mean.along[0] / mean.values[0])) / error if error > 0.0 else 0.0), error
 
 
 def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) -> RunToRun:
@@ -215,7 +226,7 @@ def estimate_runs(pulls: dict[str, Pull], settings: NoiseSettings = SETTINGS) ->
         inside = grids[k][deviances <= deviances.min() + settings.interval_deviance]
         ci95[k] = inside[0], inside[-1]
     own = {name: likeliest(pull, sd) for name, pull in pulls.items()}
-    return RunToRun(sd, ci95, own, _common_load(parts, sd))
+    return RunToRun(sd, ci95, own, *_common_load(parts, sd))
 
 
 def likeliest(pull: Pull, sd: np.ndarray) -> np.ndarray:
