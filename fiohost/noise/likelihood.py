@@ -21,9 +21,6 @@ LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
 
-# Parts of pieces of so many samples at most are kept: each takes 10 n^2 numbers.
-LONGEST_KEPT = 60
-
 
 @dataclass(frozen=True)
 class Motor:
@@ -126,6 +123,17 @@ def _rounded(tau_s: float, settings: NoiseSettings) -> float:
     return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
 
 
+def _sensed_variances(
+    n: int, tau_s: float, step_s: float, time_s: float, quantum: float, sensors: np.ndarray, least: float
+) -> np.ndarray:
+    """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque, in
+    directions of ``_counted_part``.
+    """
+    spread, _ = _counted_part(n, tau_s, step_s, time_s)
+    own = spread * quantum**2 + sensors[:, None] ** 2
+    return np.asarray(own + 1e-12 * own.max(axis=1, keepdims=True) + least)
+
+
 @lru_cache(maxsize=1024)
 def _sensed_part(
     n: int,
@@ -137,23 +145,21 @@ def _sensed_part(
     least: float,
     most: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque; how many
-    times these a torque of 1 % and a motor of unit gain has (sensors, k), and what a piece has along its directions
-    (sensors, k, m), both in those of ``_counted_part``.
+    """Of pieces of n mean speeds: what a torque of 1 % and a motor of unit gain does (m, k) in directions of
+    ``_counted_part``; and for each of some sensors' noise how many times the variance without a torque that is
+    (sensors, k), along vectors (sensors, k, k).
 
     Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
     directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
     """
     _, torque = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
-    spread, apart = _counted_part(n, tau_s, step_s, time_s)
-    own = spread * quantum**2 + np.array(sensors)[:, None] ** 2
-    own += 1e-12 * own.max(axis=1, keepdims=True) + least
+    _, apart = _counted_part(n, tau_s, step_s, time_s)
+    own = _sensed_variances(n, tau_s, step_s, time_s, quantum, np.array(sensors), least)
     shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
     seen = np.flatnonzero(shows > LEAST_DIRECTION)
     acts = apart[seen].T * np.sqrt(torque[seen])
-    weighed = acts.T[None] / own[:, None, :]  # (sensors, k, m)
-    sizes, along = np.linalg.eigh(weighed @ acts)
-    return own, np.maximum(sizes, 0.0), np.swapaxes(along, 1, 2) @ weighed
+    sizes, vectors = np.linalg.eigh((acts.T[None] / own[:, None, :]) @ acts)
+    return acts, np.maximum(sizes, 0.0), vectors
 
 
 def group_deviances(
@@ -171,14 +177,14 @@ def group_deviances(
         variance = own[:, None, None] + power[None, :, None] * torque
         return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
     _, apart = _counted_part(n, tau_s, motor.step_s, time_s)
-    # What serves again is kept but of long pieces, of which it would fill the memory.
-    part = _sensed_part if n <= LONGEST_KEPT else _sensed_part.__wrapped__
     # A torque that would leave far more than there is need not be judged well.
     enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
     most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
-    own, sizes, along = part(n, tau_s, motor.step_s, time_s, motor.quantum, tuple(sensors.tolist()), least, most)
+    shape = n, tau_s, motor.step_s, time_s, motor.quantum
+    own = _sensed_variances(*shape, sensors, least)
+    acts, sizes, vectors = _sensed_part(*shape, tuple(sensors.tolist()), least, most)
     left = apart.T @ left
-    pulls = np.sum((along @ left) ** 2, axis=2)
+    pulls = np.sum((np.swapaxes(vectors, 1, 2) @ (acts.T @ (left / own[:, :, None]))) ** 2, axis=2)
     fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)
     grown = 1.0 + power[None, :, None] * sizes[:, None, :]
     pulled = power[None, :, None] / grown * pulls[:, None, :]
