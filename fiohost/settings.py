@@ -98,6 +98,8 @@ def find_config(kind: str, name: str | Path) -> Path:
         )
     if found:
         return found[0]
+    if path.suffix and exists(path):
+        return path  # the reader says what is wrong with it
     raise ConfigError(f"unknown name {files.shown(name)!r} in {kind}; {nearest(str(name), config_names(kind))}")
 
 

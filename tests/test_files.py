@@ -239,6 +239,12 @@ def test_what_cannot_be_read_is_exit_1(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "command", "said"),
     [
+        (
+            "map.yaml",
+            "time: a\n",
+            ["import", "log.csv", "--map", "map.yaml", "-o", "o.csv"],
+            "map.yaml is not valid TOML",
+        ),
         ("m.toml", "", ["simulate", "log.csv", "--model", "m.toml", "-o", "o.csv"], "is empty"),
         ("p.toml", None, ["run", "e.toml", "--target", "sim:./p.toml"], "beyond what any motor has"),
         ("r.toml", None, ["diagnose", "--readings", "r.toml"], "is not a number within 1e+09"),
