@@ -93,7 +93,10 @@ class WeighedWindows(PlainWindows):
         return self._as_they_are[state]
 
     def held_against(self, state: State, found: Sequence[tuple[Effect, State]]) -> State:
-        """The state, a load beside it where runs differ in theirs, and few of them may have one in common by chance."""
+        """The state, a load beside it where runs differ in theirs, and few of them may have one in common by chance.
+
+        Only where that state leaves noise: else what is missing may be what makes runs differ.
+        """
         if state.noise is None or LOAD_EFFECT in state.fit.model.effects:
             return state
         loaded = next((s for of, s in found if of.name == LOAD_EFFECT), None)
@@ -103,7 +106,7 @@ class WeighedWindows(PlainWindows):
         if loaded is None or loaded.noise is None or loaded.deviance > state.deviance:
             return state
         level = loaded.fit.model.number(f"{LOAD_EFFECT}.level_pct")
-        return loaded if loaded.noise.runs.load_by_chance(level, self.margin) else state
+        return loaded if loaded.noise.runs.load_by_chance(level, self.margin) and self.white(state) else state
 
     def taken_beside_noise(self, before: State, after: State) -> float:
         """The share of the squared error that one state takes of another's under the noise that it leaves, each run
