@@ -12,7 +12,7 @@ from short_runs import logs_of, multisine, plant_file, random_steps, staircase
 
 from fiohost.bench.log import Log
 from fiohost.circle.evidence import diagnose
-from fiohost.discover.degenerate import believed, degenerate
+from fiohost.discover.degenerate import believed, degenerate, may_vanish
 from fiohost.discover.diagnose import Diagnosis
 from fiohost.discover.result import to_json
 from fiohost.discover.step import Found, Step
@@ -123,6 +123,21 @@ def test_an_interval_wider_than_its_value_is_not_believed(stages: tuple[Stage, S
         for m, g in zip(after.scattered_models, gains, strict=True)
     ]
     assert "anywhere in" in str(degenerate(before, replace(after, scatter=lambda: models)))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "vanishes"),
+    [((1.8, 2.0, 2.2, 30.0), False), ((1.8, 2.0, 2.2, 0.0), True), ((1.8, 2.0, 2.2, -1.0), True)],
+)
+def test_an_effect_may_vanish_where_bootstrap_samples_come_to_nil(
+    stages: tuple[Stage, Stage], sizes: tuple[float, ...], vanishes: bool
+) -> None:
+    """A sample in which a shaft sticks may be far off, and says nothing of that."""
+    _, after = stages
+    key = "constant_load.level_pct"
+    sign = np.sign(after.fit.model.number(key))
+    models = [after.fit.model.with_values({key: float(sign * size)}) for size in sizes]
+    assert bool(may_vanish(replace(after, scatter=lambda: models), "constant_load")) == vanishes
 
 
 def test_a_floor_above_the_error_is_not_believed(stages: tuple[Stage, Stage]) -> None:

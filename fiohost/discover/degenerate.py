@@ -29,6 +29,8 @@ class DegenerateSettings:
     floor_above: float = 2.0
     # Errors this close, as a factor, are as they were.
     as_it_was: float = 1.0
+    # Of an effect that is there so many bootstrap samples come to nil at most: those beyond one end of a 95 % interval.
+    beyond: float = 0.025
     # Where what remains is no noise, deviance promises too much, and small remains have many takers: there an effect
     # takes this share of the squared error of windows that was left before it.
     least_of_rest: float = 0.3
@@ -77,17 +79,21 @@ def _least(floor: Floor) -> Errors:
     return replace(floor.errors, window_rms=window, free_run_rms=free)
 
 
-def may_vanish(after: Stage, name: str) -> str | None:
-    """Why an effect may as well not be there: the 95 % interval of each of its sizes holds the value where it vanishes;
-    None where one does not.
+def may_vanish(after: Stage, name: str, settings: DegenerateSettings = SETTINGS) -> str | None:
+    """Why an effect may as well not be there, or None: of each of its sizes the 95 % interval holds the value where it
+    vanishes, or of bootstrap samples one in forty comes to that (percentiles, Efron 1979). Those few in which a shaft
+    sticks may be far off: they make a standard deviation say nothing.
     """
-    known, whys = estimates(after.fit, after.scattered_models), []
     if name not in after.fit.model.effects:
         return None
+    known, wide, whys = estimates(after.fit), estimates(after.fit, after.scattered_models), []
     for size in (p for p in effect(name).parameters if p.neutral is not None and p.is_smooth and not p.ragged):
-        low, high = known[f"{name}.{size.name}"].ci95
-        if not low <= float(size.neutral or 0.0) <= high:
+        key, neutral = f"{name}.{size.name}", float(size.neutral or 0.0)
+        low, high = known[key].ci95
+        beyond = [(m.number(key) - neutral) * (known[key].value - neutral) <= 0.0 for m in after.scattered_models]
+        if not low <= neutral <= high and sum(beyond) <= settings.beyond * len(beyond):
             return None
+        low, high = wide[key].ci95
         whys.append(f"its {size.name} is anywhere in {low:.3g}..{high:.3g} {size.unit}")
     return whys[0] if whys else None
 
