@@ -55,6 +55,14 @@ def test_runs_that_are_alike_share_one_noise() -> None:
     assert alone <= 1
 
 
+def test_beside_counts_that_err_more_runs_share_one_noise() -> None:
+    motor = Motor(10.0, 0.08, covariance.MEAN_SPEED, 24.0, 4.0 * STEP_S)
+    noises = {run: 2.0 * size for run, size in SPEED_NOISE.items()}
+    found = estimate(of_runs(np.random.default_rng(4), motor, noises, 0.0))
+    assert 0.0 < found.sensor.low < motor.count_rms == pytest.approx(24.0 / np.sqrt(6.0))
+    assert found.louder == {}
+
+
 def test_declared_noise_is_that_of_every_run() -> None:
     motor = Motor(10.0, 0.08, covariance.SPEED, 0.0, STEP_S)
     assert estimate(of_runs(np.random.default_rng(3), motor, SPEED_NOISE, 0.0), sensor=2.0).louder == {}

@@ -34,6 +34,12 @@ class Motor:
     quantum: float
     step_s: float
 
+    @property
+    def count_rms(self) -> float:
+        """How much one reading errs by its counts: an angle's by one count's error, a mean speed's by two."""
+        errors = {covariance.ANGLE: 1.0, covariance.MEAN_SPEED: 2.0}.get(self.kind, 0.0)
+        return self.quantum * float(np.sqrt(errors / 12.0))
+
 
 @dataclass(frozen=True)
 class Group:
