@@ -14,6 +14,7 @@ from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
 from fiohost.judging import followed
 from fiohost.judging.followed import ruled
+from fiohost.judging.levels import levels_of
 from fiohost.judging.metrics import Judgement, judge
 from fiohost.judging.missing_torque import missing_torque
 from fiohost.judging.replica import Replicas
@@ -69,6 +70,24 @@ def test_what_drifts_in_each_run_or_follows_the_angle_is_no_random_torque(
     found = ruled(drawn, judged, [judged] * 16, [START] * 3, np.random.default_rng(0), SLOW, 0.1, 3.137)
     assert set(ruling) <= set(found)
     assert bool(ruling) == bool(found)
+
+
+def test_what_stands_out_is_held_against_all_that_the_torque_may_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of several figures the one that stands out by chance is the largest: alone it would have one chance in a hundred,
+    with all of them it has six.
+    """
+    records, figures = made(TRUTH.with_effect("gain_warm_up", {"ratio": 0.06, "time_constant_s": 12.0})), []
+    model = fit_from_scratch(TRUTH, records).model
+
+    def levels(found: np.ndarray, sigmas: float) -> np.ndarray:
+        figures.append(found.shape[1])
+        return levels_of(found, sigmas)
+
+    monkeypatch.setattr(followed, "levels_of", levels)
+    judged, rng = [model] * len(records), np.random.default_rng(0)
+    found = ruled(drawing(records, SLOW), judged, [judged] * 16, [START] * 3, rng, SLOW, 0.1, 3.137)
+    assert figures == [6]
+    assert 0 < len(found) < 6
 
 
 @pytest.mark.parametrize("as_a_whole", [False, True])
