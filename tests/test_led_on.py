@@ -12,11 +12,13 @@ from bench_data import measure, steps, suite, truth_model
 from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.ladder import Ladder, in_sequence
+from fiohost.discover.nodes import Node
 from fiohost.discover.objective import WholeRuns
-from fiohost.discover.optimise import carried_on
+from fiohost.discover.optimise import carried_on, polish
 from fiohost.discover.search import Search
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.record import Record
+from fiohost.judging.stage import Stage
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
@@ -184,15 +186,25 @@ def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_le
     assert called == asked
 
 
+@pytest.mark.parametrize("windows", [False, True])
 @pytest.mark.parametrize("noise", [False, True])
 def test_what_comes_to_the_floor_and_leaves_no_noise_is_told_without_asking_for_one(
-    noise: bool, monkeypatch: pytest.MonkeyPatch
+    noise: bool, windows: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A load that holds a shaft on a slope, a tenth of a count elsewhere, took minutes and ended in other names."""
+    """A load that holds a shaft on a slope, a tenth of a count elsewhere, took minutes and ended in other names; a
+    bridge that coasts, its duty in coarse steps, took a quarter of an hour where windows had named both.
+    """
     truth = truth_model(("coulomb_friction", "quadratic_drag"), {"quadratic_drag.pct_at_1000_deg_s": 20.0})
-    asked_for_noise = SimpleNamespace()
+    asked_for_noise, run = SimpleNamespace(), Search.run
+
+    def led_by_windows(search: Search[Stage], root: Node, most: int | None = None) -> Node:
+        return root if isinstance(search.evidence, WholeRuns) else run(search, root, most)
+
     monkeypatch.setattr(Search, "explains", lambda self, node: False)
-    monkeypatch.setattr(Ladder, "_by_plain_windows", lambda self: None)
+    if windows:
+        monkeypatch.setattr(Search, "run", led_by_windows)
+    else:
+        monkeypatch.setattr(Ladder, "_by_plain_windows", lambda self: None)
     monkeypatch.setattr(Ladder, "_by_weighed_windows", lambda self: asked_for_noise)
     monkeypatch.setattr(Ladder, "_noise_alone", lambda self, node: noise)
     model, rng = Model.parse("linear+coulomb_friction"), np.random.default_rng(0)
@@ -200,3 +212,20 @@ def test_what_comes_to_the_floor_and_leaves_no_noise_is_told_without_asking_for_
     found = ladder.climbed()
     assert (found is asked_for_noise) is noise
     assert noise or [s.effect for s in found.steps] == ["quadratic_drag"]
+
+
+def test_what_was_polished_in_vain_is_neither_judged_nor_polished_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A better last digit was another state: it was held against bootstrap samples of its own, and polished anew."""
+    records = suite(truth_model(), 3)
+    runs, looked = WholeRuns(records), list[Fit]()
+
+    def recorded(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:
+        looked.append(found)
+        return polish(found, records, rng)
+
+    monkeypatch.setattr(objective, "polish", recorded)
+    monkeypatch.setattr(WholeRuns, "_nothing_to_gain", lambda self, state: False)
+    state = runs.settled(fit(truth_model(), records))
+    assert runs.polished(state) is state
+    assert runs.finished(state) is state
+    assert len(looked) == 1

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from bench_data import QUANTUM_DEG, suite, truth_model
 
-from fiohost.estimation.fit import Fit
+from fiohost.estimation.fit import Fit, fit
 from fiohost.judging.floor import Refits
+from fiohost.judging.settings import FLOOR
+from fiohost.judging.stage import judged
+from fiohost.judging.verdict import open_still
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
 
@@ -39,3 +45,16 @@ def test_a_level_that_no_reading_hangs_on_stays_in_what_a_replica_would_be_fitte
     again = Refits(fitted).model([noise])
     assert again.number("static_friction.extra_pct") == 3.4
     assert again.number("linear.gain_deg_s_per_pct") == pytest.approx(10.1, abs=0.1)
+
+
+def test_bootstrap_samples_are_drawn_of_each_record_until_they_can_say_no_more() -> None:
+    """Those of records that stand well among theirs were drawn as often as those of the one that does not."""
+    truth, rng = truth_model(), np.random.default_rng(5)
+    records = suite(truth, 5)
+    swing = 0.1 * QUANTUM_DEG * np.sin(np.arange(len(records[1])) / 7.0)
+    records[1] = replace(records[1], y=records[1].y + swing)
+    stage = judged(fit(truth, records), records, records, rng)
+    drawn = {r.name: len(f.draws) for r, f in zip(records, stage.floors, strict=True)}
+    assert drawn.pop(records[1].name) > FLOOR.replicas
+    assert min(drawn.values()) == FLOOR.some
+    assert all(drawn[name] > FLOOR.some for name in open_still(stage.excesses) if name in drawn)

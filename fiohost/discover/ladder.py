@@ -153,6 +153,8 @@ class Ladder:
         """What whole runs follow where two names lead at most: before more are, noise is asked for."""
         search, root, seen = self._plainly_seen
         best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
+        if not best and seen.added and self._at_the_floor(led := self._finished_whole(seen)):
+            return self.whole.found(self.root, led)
         if not best and self.general:
             self.say("general curves over the angle beside them")
             curved = search.run(root) if search.also(root, self.general) else seen
@@ -252,9 +254,13 @@ class Ladder:
                 near[node] = Node(runs.settled(chosen_again(fitted, runs.records)), node.added)
         return near[node]
 
+    def _finished_whole(self, seen: Node) -> Node:
+        """What windows led to, carried to its minimum in whole runs."""
+        return Node(self.runs.finished(self._as_whole_runs(seen).state), seen.added)
+
     def _led(self, seen: Node, most: int | None = None) -> Node | None:
         """What explains whole runs from where windows led, with ``most`` effects, some of them added there, or None."""
-        again = Node(self.runs.finished(self._as_whole_runs(seen).state), seen.added)
+        again = self._finished_whole(seen)
         if self.whole.explains(again):
             counts_alone = self.runs.only_counts(again.state) and not self.runs.few
             again = self.whole.exchanged(again, root=None if counts_alone else self.root)

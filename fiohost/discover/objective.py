@@ -52,6 +52,7 @@ class Logs(Evidence[Stage]):
         # What was got off its ledge when it was asked whether it is confirmed.
         self._off: WeakKeyDictionary[State, State] = WeakKeyDictionary()
         self._finished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
+        self._polished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
 
     @property
     def few(self) -> bool:
@@ -194,11 +195,10 @@ class WholeRuns(Logs):
         stage, found = self.stage(state), state.fit
         if stage.windows_above_floor > self.settings.stuck:
             return state
-        if self._nothing_to_gain(state):
-            return state
         # Three experiments or more leave a fit few ledges far from its minimum; but one that follows them is the last.
-        far = not self.only_counts(state) and (self.few or stage.follows)
-        better = unstuck(found, records, rng) if far else polish(found, records, rng)
+        if self.only_counts(state) or not (self.few or stage.follows):
+            return self.polished(state, rng)
+        better = unstuck(found, records, rng)
         return state if better.cost >= found.cost or _doubted(better) else self.settled(better)
 
     def _nothing_to_gain(self, state: State) -> bool:
@@ -207,11 +207,14 @@ class WholeRuns(Logs):
         """
         return self.only_counts(state) and self.stage(state).at_floor
 
-    def polished(self, state: State) -> State:
+    def polished(self, state: State, rng: np.random.Generator | None = None) -> State:
         if self._nothing_to_gain(state):
             return state
-        better = polish(state.fit, state.records, self.rng)
-        return state if better is state.fit or _doubted(better) else self.settled(better)
+        if state not in self._polished:
+            better = polish(state.fit, state.records, rng or self.rng)
+            found = state if better is state.fit or _doubted(better) else self.settled(better)
+            self._polished[state] = self._polished[found] = found
+        return self._polished[state]
 
     def _nothing_left(self, before: State, after: State, group: Sequence[int]) -> bool:
         stage, enough = self.stage(before), self.settings.finished

@@ -336,8 +336,8 @@ def polish(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> F
     looked = [moved(draw) for draw in range(OPTIMISER.looks)]
     costs = each(cost, looked)
     best = [looked[i] for i in np.argsort(costs)[: OPTIMISER.nudges]]
-    nudged = each(lambda m: again(found, m, records, 12, 1e-7), best)
-    return min((found, *nudged), key=lambda f: f.cost)
+    better = min(each(lambda m: again(found, m, records, 12, 1e-7), best), key=lambda f: f.cost)
+    return better if better.cost < found.cost * (1.0 - OPTIMISER.paid) else found
 
 
 def unstuck(found: Fit, records: Sequence[Record], rng: np.random.Generator) -> Fit:

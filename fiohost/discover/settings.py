@@ -88,6 +88,8 @@ class OptimiserSettings:
     # Polished: so many points within the uncertainty are looked at, the best of them fitted.
     looks: int = 48
     nudges: int = 4
+    # What leaves a share less than this is the same fit.
+    paid: float = 1e-6
     # How far around each parameter a fit in a local minimum is begun again, as factors on it, and how often at most.
     around: tuple[float, ...] = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 1.005, 1.01, 1.02, 1.05, 1.1, 1.2, 1.4)
     begun_again: int = 3

@@ -70,6 +70,7 @@ class Problem:
         self.lower = np.where(self.phases >= 0, -self.upper, self.lower)
         self.steps = np.array([q.step for q in parameters])
         self.relative = np.array([q.relative_step for q in parameters])
+        self.ragged = np.array([q.ragged for q in parameters], dtype=bool)
 
     def flat(self, p: np.ndarray) -> Flat:
         return self.base.at(p)
@@ -219,10 +220,16 @@ class _Equations(NamedTuple):
 
 
 def _stepped(
-    problem: Problem, point: Point, parts: Sequence[_Part], cost: float, damping: float, least: float
+    problem: Problem,
+    point: Point,
+    parts: Sequence[_Part],
+    cost: float,
+    damping: float,
+    least: float,
+    stays: np.ndarray | None = None,
 ) -> tuple[tuple[Point, list[np.ndarray], float] | None, float]:
     """The point that a step leads to from one of squared error ``cost``, with its residuals and error, None where no
-    step pays or promises ``least``; and the damping at which that was seen.
+    step pays or promises ``least``; and the damping at which that was seen. A parameter that ``stays`` (k) takes none.
 
     A start that is not to go as far as it would is held where it may go, and the parameters step as suits it there:
     else they would go ahead of it, and no step would pay.
@@ -236,6 +243,7 @@ def _stepped(
         gradient = equations.gradient
         blocked = ((values <= problem.lower) & (gradient < 0)) | ((values >= problem.upper) & (gradient > 0))
         active = ~blocked & (np.diag(equations.hessian) > 1e-20 * max(cost, 1e-20))
+        active = active if stays is None else active & ~stays
         step = equations.step(active, damping)
         return None if step is None else np.clip(values + step, problem.lower, problem.upper)
 
@@ -291,7 +299,11 @@ def solve(problem: Problem, point: Point, max_iterations: int, tolerance: float)
             begun, damping = cost, 1e-4
         jacobians, nuisances = problem.linearise(point, residuals, exactly)
         parts = [_Part.of(*of) for of in zip(residuals, jacobians, nuisances, strict=True)]
-        better, damping = _stepped(problem, point, parts, cost, damping, PROMISED * tolerance * cost)
+        begun_with, least = damping, PROMISED * tolerance * cost
+        better, damping = _stepped(problem, point, parts, cost, damping, least)
+        if better is None and problem.ragged.any():
+            # Across a jump of the error a derivative says nothing: the others step without it.
+            better, damping = _stepped(problem, point, parts, cost, begun_with, least, problem.ragged)
         if better is None:
             converged = exactly or tolerance > ALONG_TANGENT
             if not converged:

@@ -4,7 +4,7 @@ repeats.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -169,14 +169,16 @@ def floors(
     models: Sequence[Model],
     rng: np.random.Generator,
     before: Sequence[Floor] = (),
+    asked: Collection[str] | None = None,
 ) -> list[Floor]:
-    """Floors of records by replicas of a model, as judged by ``models``, and by those of floors ``before`` these; the
-    scatter of repeats counts where larger.
+    """Floors of records by replicas of a model, as judged by ``models``, and by those of floors ``before`` these; of
+    records that are not ``asked`` by the latter alone. The scatter of repeats counts where larger.
     """
     rngs, earlier = rng.spawn(len(records)), [f.draws for f in before] or [()] * len(records)
 
     def one(i: int) -> Floor:
-        return replica_floor(records[i], model, judgements[i], models, rngs[i], earlier[i])
+        drawn = models if asked is None or records[i].name in asked else ()
+        return replica_floor(records[i], model, judgements[i], drawn, rngs[i], earlier[i])
 
     found = each(one, range(len(records)))
     for group in repeats(records):

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 class FloorSettings:
     """How the floor is drawn."""
 
-    # Bootstrap samples: few where the fit stands far above them, and up to so many more, a round at a time, where a
-    # figure stands just above the highest: a tail is not known from so few.
+    # Bootstrap samples: few where the fit stands far above them, some where it stands no higher than half-way between
+    # their mean and what is allowed, and up to so many more, a round at a time, where a figure stands just above the
+    # highest: a tail is not known from so few.
     replicas: int = 32
     few: int = 4
+    some: int = 12
     more_replicas: int = 160
     # The angle within its count is known to between so much and so much at best; a free run this far beyond one count
     # says nothing.

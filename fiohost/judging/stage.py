@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,9 +13,11 @@ from fiohost.estimation.record import ANGLE, Record
 from fiohost.judging.floor import Floor, floors, replica_models
 from fiohost.judging.metrics import Errors, Judgement, judge, pool
 from fiohost.judging.settings import FLOOR
-from fiohost.judging.verdict import Excess, at_floor, excesses, far_above, near_limit, no_matter
+from fiohost.judging.verdict import Excess, at_floor, beyond, excesses, far_above, near_limit, no_matter, open_still
 from fiohost.motor.model import Model
 from fiohost.workers import each
+
+_Drawn = tuple[list[Floor], list[Excess]]
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,8 @@ class Stage:
 def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Record], rng: np.random.Generator) -> Stage:
     """Judge a fit on whole records; it may have been fitted to pieces of them.
 
-    Replicas are drawn until they can say no more: few where the fit stands far above all that they reach, many where it
-    stands just above their highest.
+    Replicas of each record are drawn until they can say no more: few where the fit stands far above all that they
+    reach, more where it stands well among them, many where it stands just above their highest.
     """
     whole = not fitted.windows and len(fitted.starts) == len(records)
     starts = fitted.starts if whole else [None] * len(records)
@@ -110,18 +112,20 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
     def scatter(count: int = FLOOR.replicas, anywhere: bool = True) -> list[Model]:
         return replica_models(fitted, fitted_records, rng, count, anywhere=anywhere)
 
-    def drawn(models: Sequence[Model], before: Sequence[Floor] = ()) -> tuple[list[Floor], list[Excess]]:
-        found = floors(records, fitted.model, judgements, models, rng, before)
+    def drawn(models: Sequence[Model], asked: Collection[str], before: Sequence[Floor]) -> _Drawn:
+        found = floors(records, fitted.model, judgements, models, rng, before, asked)
         return found, excesses(records, judgements, found)
 
-    found, above = drawn(scatter(FLOOR.few, anywhere=False))
+    found, above = drawn(scatter(FLOOR.few, anywhere=False), {r.name for r in records}, ())
     if not far_above(above):
-        found, above = drawn(scatter(FLOOR.replicas - FLOOR.few, anywhere=False), found)
+        found, above = drawn(scatter(FLOOR.some - FLOOR.few, anywhere=False), {r.name for r in records}, found)
+        if asked := open_still(above):
+            found, above = drawn(scatter(FLOOR.replicas - FLOOR.some, anywhere=False), asked, found)
     for _ in range(FLOOR.more_replicas // FLOOR.replicas):
         if no_matter(above) or not near_limit(above):
             break
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
-        found, above = drawn(scatter(), found)
+        found, above = drawn(scatter(), beyond(above), found)
     return Stage(fitted, scatter, tuple(judgements), tuple(found), tuple(above), motion_rms(records))
 
 

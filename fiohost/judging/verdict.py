@@ -17,13 +17,16 @@ WHOLE_RUN = ("free_run_rms", "bin_violation_pct")
 
 @dataclass(frozen=True)
 class Excess:
-    """One figure of one record: ``limit`` is how high its replicas stand, above ``allowed`` something is missed."""
+    """One figure of one record: its replicas have a ``mean`` and stand as high as ``limit``; above ``allowed``
+    something is missed.
+    """
 
     record: str
     figure: str
     value: float
     limit: float
     allowed: float
+    mean: float
 
     @property
     def exceeded(self) -> bool:
@@ -66,13 +69,23 @@ def excesses(records: Sequence[Record], judgements: Sequence[Judgement], floors:
             if rule.figure == "wide_windows_pct":  # one window more proves nothing
                 limit = max(limit, max(known) + 100.5 / judgement.windows)
             allowed = float(np.hypot(limit, rule.counts * record.quantum)) + rule.points
-            found.append(Excess(record.name, rule.figure, value, limit, allowed))
+            found.append(Excess(record.name, rule.figure, value, limit, allowed, float(np.mean(known))))
     return found
 
 
 def far_above(found: Sequence[Excess]) -> bool:
     """Whether something stands so far above what is allowed that no more replicas will say otherwise."""
     return any(e.value > VERDICT.near * e.allowed for e in found)
+
+
+def open_still(found: Sequence[Excess]) -> set[str]:
+    """The records of which not all stands so low among its replicas that no more of them will say otherwise."""
+    return {e.record for e in found if e.value > 0.5 * (e.mean + e.limit)}
+
+
+def beyond(found: Sequence[Excess]) -> set[str]:
+    """The records of which something stands above its limit."""
+    return {e.record for e in found if e.exceeded}
 
 
 def near_limit(found: Sequence[Excess]) -> bool:
