@@ -354,14 +354,18 @@ def test_what_one_record_shows_is_got_off_its_ledge_before_something_is_said_to_
     assert not any("windows of 1 s" in text for text in said), said
 
 
-def test_a_level_at_which_the_error_jumps_does_not_keep_other_parameters_where_they_are() -> None:
+@pytest.mark.parametrize("seed", [1, 5, 7])
+@pytest.mark.parametrize("share", [0.082, 0.1])
+def test_a_level_at_which_the_error_jumps_does_not_keep_other_parameters_where_they_are(
+    share: float, seed: int
+) -> None:
     """A command stood on a step of the duty: the derivative went across the jump, and no step of any parameter paid."""
     values: dict[str, float | str] = {
         "duty_steps.step_pct": 25.0, "duty_steps.share": 0.08, "duty_steps.rounding": "cut"
     }  # fmt: skip
-    truth, rng = truth_model(("coulomb_friction", "duty_steps"), values), np.random.default_rng(8)
+    truth, rng = truth_model(("coulomb_friction", "duty_steps"), values), np.random.default_rng(seed)
     duty = np.repeat(rng.choice((-75.0, -40.0, 25.0, 60.0, 75.0), 40), 60)
     record = measure(truth, duty, rng)
-    found = fit(truth.with_values({"duty_steps.share": 0.06}), [record])
+    found = fit(truth.with_values({"duty_steps.share": share}), [record])
     assert found.rms < 1.2 * COUNT_NOISE
     assert found.model.number("duty_steps.share") == pytest.approx(0.08, abs=2e-3)
