@@ -13,9 +13,10 @@ from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.ladder import Ladder, in_sequence
 from fiohost.discover.nodes import Node
-from fiohost.discover.objective import WholeRuns
+from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
 from fiohost.discover.optimise import carried_on, polish
 from fiohost.discover.search import Search
+from fiohost.discover.weighed import WeighedWindows
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage
@@ -229,3 +230,20 @@ def test_what_was_polished_in_vain_is_neither_judged_nor_polished_again(monkeypa
     assert runs.polished(state) is state
     assert runs.finished(state) is state
     assert len(looked) == 1
+
+
+@pytest.mark.parametrize("evidence", [PlainWindows, WeighedWindows, WholeRuns])
+def test_the_moment_of_an_event_is_looked_for_again_beside_what_was_added_since(evidence: type[Logs]) -> None:
+    """Beside a dead time that was missing it was 4 s late, and stayed there: both names were right, and given up."""
+    values: dict[str, float | str] = {
+        "parameter_change.time_s": 4.3, "parameter_change.which": "gain", "parameter_change.ratio": 0.88,
+        "constant_load.level_pct": 2.0,
+    }  # fmt: skip
+    truth = truth_model(("coulomb_friction", "parameter_change", "constant_load"), values)
+    logs = evidence(suite(truth, 11))
+    late = truth.with_values({"parameter_change.time_s": 8.6})
+    state = logs.settled(fit(late, logs.records, windows=not logs.exact, max_iterations=12))
+    assert abs(state.fit.model.number("parameter_change.time_s") - 4.3) > 1.0
+    found = logs.finished(state).fit.model
+    assert found.number("parameter_change.time_s") == pytest.approx(4.3, abs=0.1)
+    assert found.effects == truth.effects

@@ -18,6 +18,7 @@ from fiohost.discover.candidate import Progress
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State, deviance_of
 from fiohost.discover.folds import beginning, folds
+from fiohost.discover.moments import fit_event
 from fiohost.discover.optimise import again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
@@ -28,7 +29,7 @@ from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record, thinned
 from fiohost.judging.followed import dependences
 from fiohost.judging.stage import Stage, judged
-from fiohost.motor.effect import Effect
+from fiohost.motor.effect import Effect, effect
 from fiohost.motor.model import Model
 
 
@@ -120,6 +121,18 @@ class Logs(Evidence[Stage]):
     ) -> list[tuple[Effect, State]]:
         return LogsBeside(self, state).in_place_of(name, library, say)
 
+    def finished(self, state: State) -> State:
+        """A state with the moment of an event that was named before its last effect looked for again: what was missing
+        then may have led elsewhere, and no gradient leads back.
+        """
+        fitted = state.fit
+        for event in (e for e in map(effect, fitted.model.effects[:-1]) if e.once):
+            found = fit_event(self.without(state, event.name).fit, event, plain(state.records))
+            better = again(fitted, fitted.model.with_values(found.model.values), state.records)
+            paid = better.cost < fitted.cost * (1.0 - self.settings.optimiser.paid)
+            state = self.settled(better, whitened=True) if paid else state
+        return state
+
     def without(self, state: State, name: str) -> State:
         return self.settled(again(state.fit, state.fit.model.without([name]), state.records))
 
@@ -181,7 +194,7 @@ class WholeRuns(Logs):
 
     def finished(self, state: State) -> State:
         if state not in self._finished:
-            found = self._off_ledges(self._off.get(state, state), self.rng)
+            found = self._off_ledges(self._off.get(state) or super().finished(state), self.rng)
             self._finished[state] = self._finished[found] = found
         return self._finished[state]
 

@@ -57,6 +57,7 @@ class WeighedWindows(PlainWindows):
         """A state with its last effect's non-smooth parameters searched in windows as they are: under the noise that a
         wrong value leaves, a shaft that starts elsewhere is hardly seen.
         """
+        state = super().finished(state)
         last = effect(state.fit.model.effects[-1]) if state.fit.model.effects else None
         if last is None or last.once or not any(p.ragged for p in last.parameters):
             return state
