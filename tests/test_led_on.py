@@ -11,6 +11,7 @@ from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.evidence import State
 from fiohost.discover.ladder import Ladder, in_sequence
 from fiohost.discover.nodes import Node
 from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
@@ -247,3 +248,26 @@ def test_the_moment_of_an_event_is_looked_for_again_beside_what_was_added_since(
     found = logs.finished(state).fit.model
     assert found.number("parameter_change.time_s") == pytest.approx(4.3, abs=0.1)
     assert found.effects == truth.effects
+
+
+@pytest.mark.parametrize(("follows", "near", "asked"), [(False, True, 1), (False, False, 0), (True, True, 0)])
+def test_what_windows_lead_near_the_counts_is_got_off_its_ledge_before_they_are_asked_on(
+    follows: bool, near: bool, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Static friction that windows named stood a twentieth off its level in whole runs: all else was asked for then,
+    under noise too, and took 129 s in the place of 29.
+    """
+    called: list[State] = []
+
+    def recorded(runs: WholeRuns, state: State) -> State:
+        called.append(state)
+        return state
+
+    monkeypatch.setattr(Search, "explains", lambda self, node: follows)
+    monkeypatch.setattr(WholeRuns, "near_counts", lambda self, state: near)
+    monkeypatch.setattr(WholeRuns, "finished", recorded)
+    records, model = suite(truth_model(), 11), Model.parse("linear+coulomb_friction")
+    ladder = Ladder(records, model, [], False, np.random.default_rng(0), lambda text: None, (), (), 0.0)
+    called.clear()
+    assert ladder._enough(ladder.root) is follows
+    assert len(called) == asked

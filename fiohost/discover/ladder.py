@@ -245,13 +245,17 @@ class Ladder:
         return len(node.added) > 1 and self._noise_alone(node)
 
     def _as_whole_runs(self, node: Node) -> Node:
-        """What windows led to, fitted to whole runs; choices that windows hardly show are made anew there."""
+        """What windows led to, fitted to whole runs: choices that windows hardly show are made anew there, and what
+        comes near the counts is got off its ledge.
+        """
         near, runs = self._near, self.runs
         if node not in near:
             fitted = fit(node.state.fit.model, runs.records, max_iterations=25, tolerance=1e-6)
             near[node] = Node(runs.settled(fitted), node.added)
             if not self.whole.explains(near[node]):
                 near[node] = Node(runs.settled(chosen_again(fitted, runs.records)), node.added)
+            if runs.near_counts(near[node].state) and not self.whole.explains(near[node]):
+                near[node] = Node(runs.finished(near[node].state), node.added)
         return near[node]
 
     def _finished_whole(self, seen: Node) -> Node:
