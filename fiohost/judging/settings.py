@@ -10,7 +10,7 @@ class FloorSettings:
     """How the floor is drawn."""
 
     # Bootstrap samples: few where the fit stands far above them, some where it stands no higher than half-way between
-    # their mean and what is allowed, and up to so many more, a round at a time, where a figure stands just above the
+    # their mean and their limit, and up to so many more, a round at a time, where a figure stands just above the
     # highest: a tail is not known from so few.
     replicas: int = 32
     few: int = 4
