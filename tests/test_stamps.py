@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from fiohost.bench.log import Log
 from fiohost.estimation.fit import fit
@@ -104,6 +105,18 @@ def test_a_row_that_contradicts_all_around_it_is_set_aside_with_its_number() -> 
     assert (settled == mode).all()
     hunting = np.where(np.arange(400) % 7 == 0, 2, 1)
     assert doubtful_modes(hunting, duty)[1] == ()
+
+
+@pytest.mark.parametrize("row", [8, 391])
+def test_a_wrong_row_near_an_end_of_the_log_is_found_by_the_rows_on_its_other_side(row: int) -> None:
+    """One twelve rows before the end was no doubt: inertia was said to have changed six-fold there."""
+    mode, duty = np.full(400, 2), np.zeros(400)
+    wrong = mode.copy()
+    wrong[row] = 1
+    settled, rows = doubtful_modes(wrong, duty)
+    assert rows == (row,)
+    assert (settled == mode).all()
+    assert doubtful_modes(wrong[max(row - 15, 0) : row + 15], duty[:30])[1] == ()
 
 
 def test_a_wrong_row_at_a_switch_or_near_one_is_found() -> None:

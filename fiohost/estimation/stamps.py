@@ -77,7 +77,8 @@ def doubtful_modes(
     """The modes (n) with single rows that contradict all around them set as these are, and those rows.
 
     A row contradicts by a mode that differs while its duty does not, or by a duty that is not to be driven. So it may
-    at a switch too, unless most switches have such a row: then the bridge is opened before it is driven.
+    at a switch too, unless most switches have such a row: then the bridge is opened before it is driven. Near an end of
+    the log the rows on the other side are enough.
     """
     near = settings.alike_rows
     changes = np.flatnonzero(np.diff(mode) != 0)  # between this row and the next
@@ -85,7 +86,7 @@ def doubtful_modes(
     at_switch: dict[int, int] = {}
     for a, b in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
         around = changes[(changes >= a - near) & (changes <= b + near)]
-        if b != a + 1 or len(around) - 2 > settings.switches_near or a < near or b + near >= len(mode):
+        if b != a + 1 or len(around) - 2 > settings.switches_near or (a < near and b + near >= len(mode)):
             continue
         idle = mode[b] != DRIVE and duty_pct[b] != 0.0
         driven = [k for k in (b + 1, a) if mode[k] == DRIVE and duty_pct[k] == duty_pct[b]]
