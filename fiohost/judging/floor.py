@@ -4,15 +4,18 @@ repeats.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fiohost.estimation.fit import Fit
+from fiohost.estimation.predict import Flat, errors, squared
 from fiohost.estimation.record import Record
 from fiohost.estimation.repeats import repeats
-from fiohost.judging.metrics import Errors, Judgement, judge, pool
+from fiohost.estimation.solver import project
+from fiohost.judging.metrics import Errors, Judgement, judge
 from fiohost.judging.replica import Replicas, another_day
 from fiohost.judging.settings import FLOOR
 from fiohost.motor.model import Model
@@ -21,7 +24,7 @@ from fiohost.workers import each
 
 @dataclass(frozen=True)
 class Floor:
-    """Floor figures of one record: their mean over replicas, or the scatter between repeats where that is larger.
+    """Floor figures of one record: their median over replicas, or the scatter between repeats where that is larger.
 
     ``draws`` are the judgements of the replicas, from which thresholds are taken; their arrays are dropped.
     """
@@ -33,14 +36,24 @@ class Floor:
     @property
     def weighted_square(self) -> float:
         """Squared error of the free run as a fit weighs it, summed up; repeats that scatter more raise it alike."""
-        over = self.errors.free_run_rms / max(_mean([d.errors for d in self.draws]).free_run_rms, 1e-300)
+        over = self.errors.free_run_rms / max(_median([d.errors for d in self.draws]).free_run_rms, 1e-300)
         return float(np.mean([d.weighed.square for d in self.draws])) * over**2
 
 
-def _mean(draws: Sequence[Errors]) -> Errors:
-    pooled = pool(draws)
-    assert pooled is not None
-    return replace(pooled, samples=draws[0].samples)
+def _median(draws: Sequence[Errors]) -> Errors:
+    """Each figure as half of the draws reach it: one draw of many may err by any size, as where a shaft sticks."""
+
+    def middle(values: Sequence[float | None]) -> float | None:
+        known = [v for v in values if v is not None]
+        return float(np.median(known)) if known else None
+
+    return Errors(
+        free_run_rms=float(np.median([d.free_run_rms for d in draws])),
+        window_rms=float(np.median([d.window_rms for d in draws])),
+        bin_violation_pct=middle([d.bin_violation_pct for d in draws]),
+        fit_pct=middle([d.fit_pct for d in draws]),
+        samples=draws[0].samples,
+    )
 
 
 class Refits:
@@ -48,17 +61,31 @@ class Refits:
 
     Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. What was
     searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is. So does
-    a level that no reading hangs on: its derivative is that of rounding, which leads anywhere.
+    a level that no reading hangs on: its derivative is that of rounding, which leads anywhere. A step is halved while
+    it does not pay: no fit to a replica leaves more of it than the model that it was drawn from.
     """
 
-    def __init__(self, fitted: Fit) -> None:
-        self.fitted = fitted
+    def __init__(self, fitted: Fit, left: Callable[[Model], list[np.ndarray]]) -> None:
+        """``left`` says what a model leaves of each record that was fitted (n each), as the fit weighs it."""
+        self.fitted, self.left = fitted, left
         parameters = [fitted.model.parameter(name) for name in fitted.names]
         self.lower, self.upper = np.array([(q.lower, q.upper) for q in parameters]).reshape(-1, 2).T
         self.values = np.array([fitted.model.number(name) for name in fitted.names])
         searched = np.array([q.is_searched for q in parameters], dtype=bool)
         self.free = ~searched & (self.lower < self.values) & (self.values < self.upper)
         self.hessian = np.sum([c.T @ c for c in fitted.jacobians], axis=0)
+
+    @cached_property
+    def as_fitted(self) -> list[np.ndarray]:
+        """What the fitted model leaves of each record (n)."""
+        return self.left(self.fitted.model)
+
+    def _pays(self, model: Model, noises: Sequence[np.ndarray]) -> bool:
+        """Whether a model leaves no more of a replica than the fitted one, each with initial states of its own."""
+        own = self.fitted.nuisances
+        changes = [e - was for e, was in zip(self.left(model), self.as_fitted, strict=True)]
+        left = squared(project((n + c)[:, None], q) for n, c, q in zip(noises, changes, own, strict=True))
+        return left <= squared(project(n[:, None], q) for n, q in zip(noises, own, strict=True))
 
     def model(self, noises: Sequence[np.ndarray]) -> Model:
         """That of one replica, which leaves ``noises`` (n, one a record) of the fitted model."""
@@ -70,10 +97,14 @@ class Refits:
         gradient = np.sum([c.T @ n for c, n in zip(self.fitted.jacobians, noises, strict=True)], axis=0)[followed]
         scale = np.maximum(norms[followed], 1e-150)
         scaled = self.hessian[np.ix_(followed, followed)] / np.outer(scale, scale)
-        moved = self.values[followed] + np.linalg.pinv(scaled, rcond=1e-8) @ (gradient / scale) / scale
-        inside = np.clip(moved, self.lower[followed], self.upper[followed])
+        step = np.linalg.pinv(scaled, rcond=1e-8) @ (gradient / scale) / scale
         names = [self.fitted.names[i] for i in followed]
-        return self.fitted.model.with_values(dict(zip(names, inside.tolist(), strict=True)))
+        for share in FLOOR.step_shares:
+            moved = np.clip(self.values[followed] + share * step, self.lower[followed], self.upper[followed])
+            model = self.fitted.model.with_values(dict(zip(names, moved.tolist(), strict=True)))
+            if self._pays(model, noises):
+                return model
+        return self.fitted.model
 
 
 def replica_models(
@@ -89,7 +120,12 @@ def replica_models(
     ``anywhere`` lets the shaft stand anywhere within its count: how estimates scatter from one bench to the next.
     """
     replicas = replicas_of(fitted, records, anywhere=anywhere)
-    refits = Refits(fitted)
+
+    def left(model: Model) -> list[np.ndarray]:
+        flat = Flat.of(model)
+        return [errors(r, flat, s, fitted.windows) for r, s in zip(records, fitted.starts, strict=True)]
+
+    refits = Refits(fitted, left)
     return [refits.model(replica_errors(fitted, replicas, rng)) for _ in range(count)]
 
 
@@ -135,7 +171,7 @@ def replica_floor(
         return replace(found, simulated=none, free_residual=none, window_residual=none)
 
     draws = (*before, *(draw(m) for m in models))
-    return Floor(_mean([d.errors for d in draws]), "replicas", draws)
+    return Floor(_median([d.errors for d in draws]), "replicas", draws)
 
 
 def _detrended(values: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -24,6 +24,8 @@ class FloorSettings:
     wide: float = 1.15
     # What moves the readings by less than this share of what is left, all the way from bound to bound, is not seen.
     seen: float = 1e-4
+    # Shares of the step of a fit to a replica that are tried, until one pays.
+    step_shares: tuple[float, ...] = (1.0, 0.5, 0.25)
     # A fitted start that leaves less than this share of the squared error is another one, not the same a little better:
     # play and drift in a gap that the first second does not show.
     another_start: float = 0.25
