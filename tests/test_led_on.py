@@ -13,6 +13,7 @@ from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
 from fiohost.discover.ladder import Ladder, in_sequence
+from fiohost.discover.moments import unconfirmed_moment
 from fiohost.discover.nodes import Node
 from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
 from fiohost.discover.optimise import carried_on, polish
@@ -248,6 +249,32 @@ def test_the_moment_of_an_event_is_looked_for_again_beside_what_was_added_since(
     found = logs.finished(state).fit.model
     assert found.number("parameter_change.time_s") == pytest.approx(4.3, abs=0.1)
     assert found.effects == truth.effects
+
+
+@pytest.mark.parametrize("evidence", [PlainWindows, WeighedWindows, WholeRuns])
+def test_a_choice_is_made_again_beside_what_was_added_since(evidence: type[Logs]) -> None:
+    """A supply that sags was held by no capacitor while a friction was missing: both together explained nothing, and
+    whole runs were searched for 80 s more.
+    """
+    sags = {"supply_sag.ratio": 0.2, "supply_sag.smoothing": "capacitor"}
+    truth = truth_model(("coulomb_friction", "supply_sag", "constant_load"), {**sags, "constant_load.level_pct": 2.0})
+    logs = evidence(suite(truth, 11))
+    other = truth.with_values({"supply_sag.smoothing": "none"})
+    state = logs.settled(fit(other, logs.records, windows=not logs.exact))
+    assert logs.finished(state).fit.model.values["supply_sag.smoothing"] == "capacitor"
+
+
+@pytest.mark.parametrize(("moment", "believed"), [(11.5, False), (0.5, False), (6.0, True)])
+def test_an_event_needs_logs_on_both_sides_of_its_moment(moment: float, believed: bool) -> None:
+    """What a log's last rows left was blamed on a change there: all logs after it were then wrong thirty times over."""
+    values: dict[str, float | str] = {
+        "parameter_change.time_s": moment, "parameter_change.which": "gain", "parameter_change.ratio": 0.88,
+    }  # fmt: skip
+    truth = truth_model(("coulomb_friction", "parameter_change"), values)
+    runs = WholeRuns(suite(truth, 11)[:2])
+    state = runs.settled(fit(truth, runs.records, max_iterations=1))
+    assert (runs.degenerate(state, ["parameter_change"]) is None) is believed
+    assert (unconfirmed_moment(state.fit, effects()["parameter_change"], runs.records) is None) is believed
 
 
 @pytest.mark.parametrize(("follows", "near", "asked"), [(False, True, 1), (False, False, 0), (True, True, 0)])

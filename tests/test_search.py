@@ -10,7 +10,7 @@ import pytest
 from fiohost.discover.belief import Belief
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.evidence import Evidence, State
-from fiohost.discover.nodes import Child, Node
+from fiohost.discover.nodes import Added, Child, Node
 from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain
 from fiohost.discover.search import Search
@@ -278,3 +278,21 @@ def test_what_windows_as_they_are_tell_apart_are_no_rivals(plainly: bool, monkey
     table.unsure = 1e6
     one, other = (Child(effects()[name], state([name]), gain) for name, gain in ((FIRST, 500.0), (OTHER, 450.0)))
     assert set(Belief(table).rivals(one, [one, other])) == (set() if plainly else {OTHER})
+
+
+def test_a_general_curve_explains_only_what_no_named_effect_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It came first while a choice was wrong; with that put right either explained all."""
+    curve = "load_over_position"
+    named, general = (state([n]) for n in (FIRST, OTHER))
+
+    def node(name: str, found: State) -> Node:
+        added = Added(search, Child(effects()[name], found, 0.0), root, (), 0.0)
+        return Node(found, (added,))
+
+    search = Search(Table(), (), lambda text: None)
+    root = Node(state(()))
+    monkeypatch.setattr(search, "explains", lambda node: bool(node.added))
+    for others in ([], [node(FIRST, named)]):
+        grown = [node(curve, general), *others]
+        monkeypatch.setattr(search, "expanded", lambda node, grown=grown: iter(grown))
+        assert search.next_ones([root]) == grown[-1:]

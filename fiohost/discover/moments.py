@@ -29,6 +29,21 @@ def moment_of(effect: Effect) -> Parameter | None:
     return next((p for p in effect.parameters if p.is_searched), None) if effect.once else None
 
 
+def unconfirmed_moment(found: Fit, of: Effect, records: Sequence[Record]) -> str | None:
+    """Why an event that was fitted cannot be believed by when it happened, or None: of what holds before it or after it
+    the records show less than any effect is asked for.
+    """
+    moment = moment_of(of)
+    if moment is None:
+        return None
+    at = found.model.number(f"{of.name}.{moment.name}")
+    spans = [(r.excitation.clock_s + r.excitation.times_s[[0, -1]]).tolist() for r in records]
+    before = sum(max(min(at, last) - first, 0.0) for first, last in spans)
+    least_s = min(before, sum(last - first for first, last in spans) - before)
+    side = "before" if least_s == before else "after"
+    return f"no more than {least_s:.2g} s of the logs are {side} it" if least_s < SETTINGS.score.block_s else None
+
+
 def fit_event(base: Fit, effect: Effect, records: Sequence[Record]) -> Fit:
     """The base model with an event added: the best of those that windows suggest, whole runs fitted at the end.
 

@@ -18,8 +18,8 @@ from fiohost.discover.candidate import Progress
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import Evidence, State, deviance_of
 from fiohost.discover.folds import beginning, folds
-from fiohost.discover.moments import fit_event
-from fiohost.discover.optimise import again, polish, searched_again, unstuck
+from fiohost.discover.moments import fit_event, unconfirmed_moment
+from fiohost.discover.optimise import again, carried_on, chosen_again, polish, searched_again, unstuck
 from fiohost.discover.refit import LogsBeside
 from fiohost.discover.score import Gain, left_out, objection, only_in
 from fiohost.discover.screen import Screen
@@ -122,16 +122,19 @@ class Logs(Evidence[Stage]):
         return LogsBeside(self, state).in_place_of(name, library, say)
 
     def finished(self, state: State) -> State:
-        """A state with the moment of an event that was named before its last effect looked for again: what was missing
-        then may have led elsewhere, and no gradient leads back.
+        """A state with the choices and moments of effects that were named before its last one looked for again: what
+        was missing then may have led elsewhere, and no gradient leads back.
         """
-        fitted = state.fit
-        for event in (e for e in map(effect, fitted.model.effects[:-1]) if e.once):
-            found = fit_event(self.without(state, event.name).fit, event, plain(state.records))
-            better = again(fitted, fitted.model.with_values(found.model.values), state.records)
-            paid = better.cost < fitted.cost * (1.0 - self.settings.optimiser.paid)
-            state = self.settled(better, whitened=True) if paid else state
-        return state
+        records, earlier = state.records, state.fit.model.effects[:-1]
+
+        def better(state: State, found: Fit) -> State:
+            paid = found.cost < state.fit.cost * (1.0 - self.settings.optimiser.paid)
+            return self.settled(carried_on(found, records), whitened=True) if paid else state
+
+        for event in (e for e in map(effect, earlier) if e.once):
+            found = fit_event(self.without(state, event.name).fit, event, plain(records))
+            state = better(state, again(state.fit, state.fit.model.with_values(found.model.values), records))
+        return better(state, chosen_again(state.fit, records, earlier))
 
     def without(self, state: State, name: str) -> State:
         return self.settled(again(state.fit, state.fit.model.without([name]), state.records))
@@ -146,7 +149,8 @@ class Logs(Evidence[Stage]):
         return left_out(fitted, under.variance, under.records, self.groups)
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
-        why = next((w for w in (objection(state.fit, n) for n in names) if w), None)
+        whys = (objection(state.fit, n) or unconfirmed_moment(state.fit, effect(n), state.records) for n in names)
+        why = next((w for w in whys if w), None)
         return why or core_lost(state.bare or state.fit)  # of noise that is none, weights promise too much
 
     def unconfirmed(self, before: State, after: State, name: str) -> str | None:

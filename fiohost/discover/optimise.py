@@ -242,9 +242,9 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
     return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
 
 
-def chosen_again(found: Fit, records: Sequence[Record]) -> Fit:
-    """A model with each of its choices made as suits these records best."""
-    for of in map(effect, found.model.effects):
+def chosen_again(found: Fit, records: Sequence[Record], names: Sequence[str] | None = None) -> Fit:
+    """A model with each of the choices of its effects, or of those ``names``, made as suits these records best."""
+    for of in map(effect, found.model.effects if names is None else names):
         others = [_chosen_otherwise(found, of, p, choice, records) for p in of.parameters for choice in p.choices]
         found = min((found, *others), key=lambda f: f.cost)
     return found

@@ -93,17 +93,23 @@ class Search(Generic[J]):
         return None
 
     def next_ones(self, beam: Sequence[Node], *, rival: Node | None = None) -> list[Node]:
-        """The nodes with one more effect than those of a beam; the one that explains the data, where one does. Where
-        there is a ``rival`` they have to do as well as it does.
+        """The nodes with one more effect than those of a beam; the one that explains the data, where one does, one with
+        a named effect before one with a general curve, which holds what others say. Where there is a ``rival`` they
+        have to do as well as it does.
         """
         grown: dict[frozenset[str], Node] = {}
         for node in beam:
+            curved: list[Node] = []
             for child in self.expand(node, rival=rival) if rival else self.expanded(node):
                 if self.explains(child):
-                    return [child]
+                    if not child.added[-1].child.effect.points:
+                        return [child]
+                    curved.append(child)
                 was = grown.get(child.names)
                 if was is None or child.state.price < was.state.price:
                     grown[child.names] = child
+            if curved:
+                return curved[:1]
             if not grown and node is not beam[-1] and (self.evidence.exact or self.white(node)):
                 break  # beside the best one nothing is missing
         return list(grown.values())
