@@ -134,7 +134,7 @@ class Logs(Evidence[Stage]):
         for event in (e for e in map(effect, earlier) if e.once):
             found = fit_event(self.without(state, event.name).fit, event, plain(records))
             state = better(state, again(state.fit, state.fit.model.with_values(found.model.values), records))
-        return better(state, chosen_again(state.fit, records, earlier))
+        return better(state, chosen_again(state.fit, records, [n for n in earlier if not effect(n).once]))
 
     def without(self, state: State, name: str) -> State:
         return self.settled(again(state.fit, state.fit.model.without([name]), state.records))

@@ -13,8 +13,9 @@ from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, first_guess, fit, unchanged
 from fiohost.estimation.initial import guessed_warmth, has_own_warmth
 from fiohost.estimation.intervals import covariance
-from fiohost.estimation.predict import Flat, errors, squared
+from fiohost.estimation.predict import Flat, errors, squared, windowed
 from fiohost.estimation.record import Record
+from fiohost.estimation.tangent import Tangent
 from fiohost.motor.effect import Effect, Parameter, effect
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
@@ -27,18 +28,24 @@ OPTIMISER = SETTINGS.optimiser
 
 
 def _plain_costs(base: Fit, models: Sequence[Model], records: Sequence[Record]) -> list[float]:
-    """Squared errors of models with the same effects, begun as a fit's, offsets of whole runs apart; how warm a record
-    was is guessed by the first of them.
+    """Squared errors of models with the same effects, begun as a fit's, offsets of whole runs apart, windows along the
+    fit's tangent; how warm a record was is guessed by the first of them.
     """
-    starts = _starts(base, models[0], records) if models else []
+    if not models:
+        return []
+    flat, starts = Flat.of(base.model), _starts(base, models[0], records)
+    near = [windowed(r, flat, s) for r, s in zip(records, base.starts, strict=True)] if base.windows else []
+    tangents = [Tangent(r, flat, s, begun) for r, s, (_, begun) in zip(records, base.starts, near, strict=bool(near))]
 
-    def left(record: Record, start: Start, flat: Flat) -> np.ndarray:
-        error = errors(record, flat, start, base.windows)
+    def left(i: int, other: Flat) -> np.ndarray:
         if base.windows:
-            return error
-        return error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
+            return np.asarray(near[i][0] - tangents[i].by(other, starts[i], 1.0))
+        record, error = records[i], errors(records[i], other, starts[i])
+        return np.asarray(
+            error - record.weights * float(error @ record.weights) / float(record.weights @ record.weights)
+        )
 
-    return [squared(map(partial(left, flat=Flat.of(m)), records, starts)) for m in models]
+    return [squared(map(partial(left, other=Flat.of(m)), range(len(records)))) for m in models]
 
 
 def _starts(found: Fit, model: Model, records: Sequence[Record]) -> list[Start]:
