@@ -160,25 +160,12 @@ def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
     if SPARSE * len(firsts) >= len(record.windows):
         return begin_windows(record, free_states(record, flat, start))
     # The first window of a record is always looked at, so this run begins where the whole one does.
-    return _behind_gaps(record, free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts])))
+    return free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts]))
 
 
 def begin_windows(record: Record, states: np.ndarray) -> np.ndarray:
     """Of states (n, STATE_SIZE) of a free run, those (m, STATE_SIZE) where the windows that are looked at begin."""
-    return _behind_gaps(record, np.ascontiguousarray(states[record.looked_at[0]]))
-
-
-def _behind_gaps(record: Record, states: np.ndarray) -> np.ndarray:
-    """States (m, STATE_SIZE) where windows begin, those behind a gap with the speed that is seen there: no run knows
-    the commands of a gap.
-    """
-    if not record.broken:
-        return states
-    firsts = record.looked_at[0]
-    behind = np.flatnonzero(np.diff(record.segments[firsts], prepend=record.segments[firsts[0]]))
-    omegas = states[:, OMEGA].copy()
-    omegas[behind] = [record.speed_at(int(firsts[w])) for w in behind]
-    return moved(states, states[:, THETA], omegas)
+    return np.ascontiguousarray(states[record.looked_at[0]])
 
 
 def turned_deg(record: Record, flat: Flat) -> float:
@@ -318,9 +305,36 @@ def _from_bases(
     record: Record, flat: Flat, bases: np.ndarray, y: np.ndarray | None, columns: np.ndarray | None = None
 ) -> tuple[np.ndarray, Begun]:
     data = record.y if y is None else y
-    residuals, shifts, omegas, found = fitted_windows(record, flat, data, record.looked_at, bases, True, columns)
+    fitted = fitted_windows(record, flat, data, record.looked_at, bases, True, columns)
+    if columns is None and len(behind := record.behind_gaps):
+        _by_seen_speed(record, flat, data, bases, behind, fitted)
+    residuals, shifts, omegas, found = fitted
     outputs = data[record.rows] + turned_deg(record, flat) - residuals
     return residuals, Begun(moved(bases, bases[:, THETA] + shifts, omegas), outputs, found)
+
+
+def _by_seen_speed(
+    record: Record,
+    flat: Flat,
+    y: np.ndarray,
+    bases: np.ndarray,
+    behind: np.ndarray,
+    fitted: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Put what windows ``behind`` gaps leave where they are fitted from the speed that is seen there in the place of
+    what was ``fitted`` from the free run's, where it is less: that knows no command of a gap, and this no reversal.
+    """
+    (firsts, lasts), edges = record.looked_at, record.edges
+    firsts, lasts = firsts[behind], lasts[behind]
+    speeds = np.array([record.speed_at(i) for i in firsts.tolist()])
+    begun = moved(bases[behind], bases[behind, THETA], speeds)
+    others = fitted_windows(record, flat, y, (firsts, lasts), begun, True)
+    own = one_by_one(firsts, lasts)
+    for i, window in enumerate(behind.tolist()):
+        here, there = slice(edges[window], edges[window + 1]), slice(own[i], own[i + 1])
+        if squared([others[0][there]]) < squared([fitted[0][here]]):
+            fitted[0][here], fitted[3][:, here] = others[0][there], others[3][:, there]
+            fitted[1][window], fitted[2][window] = others[1][i], others[2][i]
 
 
 def moved(states: np.ndarray, thetas: np.ndarray, omegas: np.ndarray) -> np.ndarray:

@@ -134,6 +134,12 @@ class Record:
         chosen = (np.arange(len(self.windows) - 1) * GOLDEN) % 1.0 < 1.0 / self.every
         return self.windows[:-1][chosen], self.windows[1:][chosen]
 
+    @cached_property
+    def behind_gaps(self) -> np.ndarray:
+        """Which of the windows that are looked at begin where commands of a gap acted since the one before."""
+        segments = self.segments[self.looked_at[0]] if self.broken else np.empty(0)
+        return np.flatnonzero(np.diff(segments, prepend=segments[:1]))
+
     @property
     def edges(self) -> np.ndarray:
         """Where windows begin and end (m + 1) among the samples of those that are looked at, one after the other."""
