@@ -237,7 +237,7 @@ def errors(record: Record, flat: Flat, start: Start, windows: bool = False, y: n
 def squared(parts: Iterable[np.ndarray]) -> float:
     """The squared error of residuals (n each), summed up; that of a simulation that ran away is infinite."""
     with np.errstate(over="ignore", invalid="ignore"):
-        total = float(sum(float(np.vdot(part, part)) for part in parts))
+        total = float(sum(float(part @ part) for part in parts))
     return total if np.isfinite(total) else float("inf")
 
 

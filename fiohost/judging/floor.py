@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.predict import Flat, errors, squared
+from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
 from fiohost.estimation.repeats import repeats
 from fiohost.estimation.solver import project
@@ -82,10 +82,11 @@ class Refits:
 
     def _pays(self, model: Model, noises: Sequence[np.ndarray]) -> bool:
         """Whether a model leaves no more of a replica than the fitted one, each with initial states of its own."""
-        own = self.fitted.nuisances
-        changes = [e - was for e, was in zip(self.left(model), self.as_fitted, strict=True)]
-        left = squared(project((n + c)[:, None], q) for n, c, q in zip(noises, changes, own, strict=True))
-        return left <= squared(project(n[:, None], q) for n, q in zip(noises, own, strict=True))
+        squares, parts = np.zeros(2), zip(noises, self.left(model), self.as_fitted, self.fitted.nuisances, strict=True)
+        with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away pays nothing
+            for noise, left, was, own in parts:
+                squares += np.sum(project(np.column_stack((noise, noise + left - was)), own) ** 2, axis=0)
+        return bool(squares[1] <= squares[0])
 
     def model(self, noises: Sequence[np.ndarray]) -> Model:
         """That of one replica, which leaves ``noises`` (n, one a record) of the fitted model."""
