@@ -27,6 +27,7 @@ from fiohost.discover.optimise import (
 from fiohost.discover.score import objection
 from fiohost.discover.screen import Score, Screen, candidates
 from fiohost.discover.settings import SearchSettings
+from fiohost.discover.within import within_noise
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record
 from fiohost.motor.effect import Effect
@@ -63,6 +64,13 @@ class Logs(Protocol):
 
     def no_noise(self, state: State) -> bool:
         """Whether the random torque that a state leaves is larger than any bench's."""
+
+    def white(self, state: State) -> bool:
+        """Whether what a state leaves is noise."""
+
+    @property
+    def margin(self) -> float:
+        """How many times what chance reaches a candidate has to gain."""
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
         """Why a fit cannot be believed by its own parameters, or None."""
@@ -177,6 +185,9 @@ class LogsBeside:
             return there[i].fit if i in there else carried_on(rough[i], jobs[i].records)
 
         fits = dict(zip(finals, each(carried, finals), strict=True))
+        settled_on = (
+            within_noise(self.logs, self.state, self.screens[0], self.ranked[0], jobs, fits) if self.ranked else {}
+        )
         ahead = {id(jobs[i].records): np.inf for i in finals}
 
         def believed(i: int) -> bool:
@@ -189,7 +200,7 @@ class LogsBeside:
                 ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], OPTIMISER.another_choice * fits[i].cost)
 
         def thorough(i: int) -> Fit:
-            if i in there or fits[i].cost > ahead[id(jobs[i].records)]:
+            if i in there or i in settled_on or fits[i].cost > ahead[id(jobs[i].records)]:
                 return fits[i]
             # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
             at_floor = any(f.rms <= s.finished * floor and believed(k) for k, f in fits.items())
@@ -207,9 +218,8 @@ class LogsBeside:
         fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
-            return (
-                there[i] if i in there else self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
-            )
+            known = there.get(i) or settled_on.get(i)
+            return known or self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
 
         def apart(ways: Sequence[int]) -> Sequence[int]:
             """Of two ways that came to the same, the first."""

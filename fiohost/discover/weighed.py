@@ -73,6 +73,8 @@ class WeighedWindows(PlainWindows):
         return self._fitted(state.fit, other.records)
 
     def chance(self, state: State, best: State) -> State:
+        if best.noise is state.noise:
+            return state
         assert best.noise is not None
         records = with_noise(self.plain, state.fit.model, best.noise, state.moving)
         if best.noise.runs.known:
