@@ -185,7 +185,7 @@ class LogsBeside:
             return there[i].fit if i in there else carried_on(rough[i], jobs[i].records)
 
         fits = dict(zip(finals, each(carried, finals), strict=True))
-        settled_on = (
+        in_noise = (
             within_noise(self.logs, self.state, self.screens[0], self.ranked[0], jobs, fits) if self.ranked else {}
         )
         ahead = {id(jobs[i].records): np.inf for i in finals}
@@ -200,7 +200,7 @@ class LogsBeside:
                 ahead[id(jobs[i].records)] = min(ahead[id(jobs[i].records)], OPTIMISER.another_choice * fits[i].cost)
 
         def thorough(i: int) -> Fit:
-            if i in there or i in settled_on or fits[i].cost > ahead[id(jobs[i].records)]:
+            if i in there or i in in_noise or fits[i].cost > ahead[id(jobs[i].records)]:
                 return fits[i]
             # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
             at_floor = any(f.rms <= s.finished * floor and believed(k) for k, f in fits.items())
@@ -218,7 +218,7 @@ class LogsBeside:
         fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
-            known = there.get(i) or settled_on.get(i)
+            known = there.get(i) or in_noise.get(i)
             return known or self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
 
         def apart(ways: Sequence[int]) -> Sequence[int]:
