@@ -36,6 +36,7 @@ from fiohost.judging.stage import Stage
 from fiohost.judging.verdict import Excess, excesses
 from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
+from fiohost.noise.runs import NO_SCATTER
 from fiohost.workers import each
 
 
@@ -248,6 +249,6 @@ def pooled(judgements: Sequence[Judgement]) -> Errors | None:
 def parameters(found: Diagnosis, stage: Stage) -> dict[str, Estimate]:
     """The parameters of one of the diagnosis' stages, with intervals."""
     count = max((r.quantum for r in found.train if r.kind == ANGLE), default=0.0)
-    differ = found.noise_decided and found.noise is not None and found.noise.runs.known
-    differ = differ and len(stage.fit.residuals) == len(found.train)
-    return estimates(stage.fit, stage.scattered_models, count, differ)
+    apart = found.noise is not None and found.noise_decided and len(stage.fit.residuals) == len(found.train)
+    runs = found.noise.runs if found.noise is not None and apart else NO_SCATTER
+    return estimates(stage.fit, stage.scattered_models, count, runs)

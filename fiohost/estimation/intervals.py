@@ -5,7 +5,8 @@ sample as independent, is too small by an order of magnitude. Summing the gradie
 much the blocks really differ (Liang and Zeger 1986; White 1980). Counts err alike in repeated motion, which blocks take
 for independent; fits to replicas through the same sensor show that part (parametric bootstrap, Efron 1979), and the
 wider of the two holds. Where runs differ from each other, their mean is known by their scatter: blocks are whole runs
-there, with Student's distribution (Cameron and Miller 2015).
+there, with Student's distribution (Cameron and Miller 2015). Of what differs itself the scatter that was found says how
+well so few runs know its mean (Student 1908): windows in which a shaft sticks hold a fit fast.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from scipy.special import stdtrit
 from fiohost.estimation.fit import Fit
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
+from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, NO_SCATTER, RunToRun
 
 BLOCK_SAMPLES = 200
 NEAR_SINGULAR = 1e-9
@@ -100,23 +102,34 @@ def between_runs(fit: Fit, which: Sequence[int]) -> np.ndarray:
     return np.asarray(stdtrit(runs - 1, 0.975) * deviation)
 
 
+def of_scatter(model: Model, runs: RunToRun) -> dict[str, float]:
+    """Half widths of 95 % intervals of what itself differs from run to run: the mean of so few is known no better."""
+    if not runs.known:
+        return {}
+    width = float(stdtrit(len(runs.by_run) - 1, 0.975)) / np.sqrt(len(runs.by_run)) * runs.sd
+    shares = {"linear.gain_deg_s_per_pct": width[GAIN], **dict.fromkeys(FRICTIONS, width[FRICTION])}
+    found = {name: float(share * abs(model.number(name))) for name, share in shares.items() if name in model.values}
+    return {**found, f"{LOAD_EFFECT}.level_pct": float(width[LOAD])}
+
+
 def estimates(
-    fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0, runs_differ: bool = False
+    fit: Fit, replicas: Sequence[Model] = (), count: float = 0.0, runs: RunToRun = NO_SCATTER
 ) -> dict[str, Estimate]:
     """Every number of the model with its interval; fixed ones have an interval of no width.
 
     ``replicas`` are models as fitted to replicas of the data, ``count`` is the step of the sensor of angle: where
     within the first count the zero lies, nobody knows, so places on the turn are known to half a count at best.
-    ``runs_differ`` says that each record is a run of its own and that these differ.
+    ``runs`` is how these differ, where each record is a run of its own.
     """
     cov, determined = covariance(fit)
     # What was searched holds where it was found: what trades with its derivative is not as open as that says.
     kept = [i for i, name in enumerate(fit.names) if not fit.model.parameter(name).is_searched]
     if 0 < len(kept) < len(fit.names):
         cov[np.ix_(kept, kept)], determined[kept] = sandwich(fit.residuals, [c[:, kept] for c in fit.jacobians])
-    runs = np.zeros(len(fit.names))
-    if runs_differ and kept:
-        runs[kept] = between_runs(fit, kept)
+    apart = of_scatter(fit.model, runs)
+    if runs.known and kept:
+        by_name = zip([fit.names[i] for i in kept], between_runs(fit, kept).tolist(), strict=True)
+        apart |= {name: max(half, apart.get(name, 0.0)) for name, half in by_name}
     found: dict[str, Estimate] = {}
     for name, value in fit.model.values.items():
         parameter = fit.model.parameter(name)
@@ -130,7 +143,7 @@ def estimates(
         if len(replicas) > 1:
             drawn = [model.number(name) for model in replicas]
             half = max(half, float(stdtrit(len(drawn) - 1, 0.975) * np.std(drawn, ddof=1)))
-        half = max(half, float(runs[i])) + 0.5 * count * _turns_with_zero(fit.model, name)
+        half = max(half, apart.get(name, 0.0)) + 0.5 * count * _turns_with_zero(fit.model, name)
         low, high = max(value - half, parameter.lower), min(value + half, parameter.upper)
         at_bound = value <= parameter.lower or value >= parameter.upper
         found[name] = Estimate(value, parameter.unit, (low, high), bool(determined[i]), at_bound)

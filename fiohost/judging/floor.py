@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fiohost.estimation.fit import Fit
+from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, errors
 from fiohost.estimation.record import Record
 from fiohost.estimation.repeats import repeats
@@ -56,13 +56,26 @@ def _median(draws: Sequence[Errors]) -> Errors:
     )
 
 
+def followed(fitted: Fit, norms: np.ndarray, left: float) -> np.ndarray:
+    """Which parameters (k) of a fit follow the data, ``norms`` (k) being those of its derivatives, ``left`` that of
+    what it leaves.
+
+    What was searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it
+    is. So does a level that no reading hangs on: its derivative is that of rounding, which leads anywhere.
+    """
+    parameters = [fitted.model.parameter(name) for name in fitted.names]
+    lower, upper = np.array([(q.lower, q.upper) for q in parameters]).reshape(-1, 2).T
+    values = np.array([fitted.model.number(name) for name in fitted.names])
+    searched = np.array([q.is_searched for q in parameters], dtype=bool)
+    seen = (upper - lower) * norms > FLOOR.seen * left
+    return np.flatnonzero(~searched & (lower < values) & (values < upper) & seen)
+
+
 class Refits:
     """The models that fits to replicas of a fit's data would give, by one step of each.
 
-    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. What was
-    searched stays, as a moment was, and what is at its bound: its derivative says nothing of how far off it is. So does
-    a level that no reading hangs on: its derivative is that of rounding, which leads anywhere. A step is halved while
-    it does not pay: no fit to a replica leaves more of it than the model that it was drawn from.
+    Counts pull an estimate a little off the truth, and a fitted model is judged with that error in it. A step is
+    halved while it does not pay: no fit to a replica leaves more of it than the model that it was drawn from.
     """
 
     def __init__(self, fitted: Fit, left: Callable[[Model], list[np.ndarray]]) -> None:
@@ -71,8 +84,6 @@ class Refits:
         parameters = [fitted.model.parameter(name) for name in fitted.names]
         self.lower, self.upper = np.array([(q.lower, q.upper) for q in parameters]).reshape(-1, 2).T
         self.values = np.array([fitted.model.number(name) for name in fitted.names])
-        searched = np.array([q.is_searched for q in parameters], dtype=bool)
-        self.free = ~searched & (self.lower < self.values) & (self.values < self.upper)
         self.hessian = np.sum([c.T @ c for c in fitted.jacobians], axis=0)
 
     @cached_property
@@ -91,17 +102,16 @@ class Refits:
     def model(self, noises: Sequence[np.ndarray]) -> Model:
         """That of one replica, which leaves ``noises`` (n, one a record) of the fitted model."""
         norms = np.sqrt(np.diag(self.hessian))
-        least = FLOOR.seen * float(np.sqrt(sum(float(n @ n) for n in noises)))
-        followed = np.flatnonzero(self.free & ((self.upper - self.lower) * norms > least))
-        if not len(followed):
+        which = followed(self.fitted, norms, float(np.sqrt(sum(float(n @ n) for n in noises))))
+        if not len(which):
             return self.fitted.model
-        gradient = np.sum([c.T @ n for c, n in zip(self.fitted.jacobians, noises, strict=True)], axis=0)[followed]
-        scale = np.maximum(norms[followed], 1e-150)
-        scaled = self.hessian[np.ix_(followed, followed)] / np.outer(scale, scale)
+        gradient = np.sum([c.T @ n for c, n in zip(self.fitted.jacobians, noises, strict=True)], axis=0)[which]
+        scale = np.maximum(norms[which], 1e-150)
+        scaled = self.hessian[np.ix_(which, which)] / np.outer(scale, scale)
         step = np.linalg.pinv(scaled, rcond=1e-8) @ (gradient / scale) / scale
-        names = [self.fitted.names[i] for i in followed]
+        names = [self.fitted.names[i] for i in which]
         for share in FLOOR.step_shares:
-            moved = np.clip(self.values[followed] + share * step, self.lower[followed], self.upper[followed])
+            moved = np.clip(self.values[which] + share * step, self.lower[which], self.upper[which])
             model = self.fitted.model.with_values(dict(zip(names, moved.tolist(), strict=True)))
             if self._pays(model, noises):
                 return model
@@ -128,6 +138,34 @@ def replica_models(
 
     refits = Refits(fitted, left)
     return [refits.model(replica_errors(fitted, replicas, rng)) for _ in range(count)]
+
+
+def refitted_models(fitted: Fit, records: Sequence[Record], rng: np.random.Generator) -> list[Model]:
+    """Models fitted to replicas of the windows that were fitted.
+
+    Where a torque decides in which windows a shaft sticks, the error is no smooth function of what decides with it, as
+    friction: estimates scatter by two or three times what one step from the fit says.
+    """
+    norms = np.sqrt(np.sum([np.sum(c**2, axis=0) for c in fitted.jacobians], axis=0))
+    moving = {fitted.names[i] for i in followed(fitted, norms, float(np.sqrt(fitted.cost)))}
+    held = replace(fitted.model, fixed=fitted.model.fixed | (set(fitted.names) - moving))
+    replicas = replicas_of(fitted, records, anywhere=True)
+
+    def refitted(rng: np.random.Generator) -> Model:
+        days = another_day(records, rng)
+        drawn = [replace(day, y=r.draw(rng, day)) for r, day in zip(replicas, days, strict=True)]
+        steps, tolerance = FLOOR.refit
+        return fit(
+            held,
+            drawn,
+            windows=True,
+            starts=fitted.starts,
+            max_iterations=steps,
+            tolerance=tolerance,
+            zeros=False,
+        ).model
+
+    return each(refitted, rng.spawn(FLOOR.replicas))
 
 
 def replicas_of(fitted: Fit, records: Sequence[Record], *, anywhere: bool = False) -> list[Replicas]:

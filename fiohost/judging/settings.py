@@ -24,6 +24,9 @@ class FloorSettings:
     wide: float = 1.15
     # What moves the readings by less than this share of what is left, all the way from bound to bound, is not seen.
     seen: float = 1e-4
+    # Where a torque acts replicas are fitted to their minimum, in so many steps at most and to this tolerance: 0.1 of a
+    # deviance of 10,000 samples.
+    refit: tuple[int, float] = (8, 1e-5)
     # Shares of the step of a fit to a replica that are tried, until one pays.
     step_shares: tuple[float, ...] = (1.0, 0.5, 0.25)
     # A fitted start that leaves less than this share of the squared error is another one, not the same a little better:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import ANGLE, Record
-from fiohost.judging.floor import Floor, floors, replica_models
+from fiohost.judging.floor import Floor, floors, refitted_models, replica_models
 from fiohost.judging.metrics import Errors, Judgement, judge, pool
 from fiohost.judging.settings import FLOOR
 from fiohost.judging.verdict import Excess, at_floor, beyond, excesses, far_above, near_limit, no_matter, open_still
@@ -112,6 +112,10 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
     def scatter(count: int = FLOOR.replicas, anywhere: bool = True) -> list[Model]:
         return replica_models(fitted, fitted_records, rng, count, anywhere=anywhere)
 
+    def estimated() -> list[Model]:
+        moved = fitted.windows and any(r.disturbance and r.disturbance.noise.torque_known for r in fitted_records)
+        return refitted_models(fitted, fitted_records, rng) if moved else scatter()
+
     def drawn(models: Sequence[Model], asked: Collection[str], before: Sequence[Floor]) -> _Drawn:
         found = floors(records, fitted.model, judgements, models, rng, before, asked)
         return found, excesses(records, judgements, found)
@@ -126,7 +130,7 @@ def judged(fitted: Fit, fitted_records: Sequence[Record], records: Sequence[Reco
             break
         # So near, the error of estimation counts in full: whether a shaft rests or creeps hangs on the last digits.
         found, above = drawn(scatter(), beyond(above), found)
-    return Stage(fitted, scatter, tuple(judgements), tuple(found), tuple(above), motion_rms(records))
+    return Stage(fitted, estimated, tuple(judgements), tuple(found), tuple(above), motion_rms(records))
 
 
 def motion_rms(records: Sequence[Record]) -> float:
