@@ -150,8 +150,11 @@ class Logs(Evidence[Stage]):
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
         whys = (objection(state.fit, n) or unconfirmed_moment(state.fit, effect(n), state.records) for n in names)
-        why = next((w for w in whys if w), None)
-        return why or core_lost(state.bare or state.fit)  # of noise that is none, weights promise too much
+        if why := next((w for w in whys if w), None):
+            return why
+        lost = core_lost(state.bare or state.fit)
+        # Of noise that is none weights promise too much; of noise that is one, windows as they are know too little.
+        return lost if lost is None or state.bare is None or not self.white(state) else core_lost(state.fit)
 
     def unconfirmed(self, before: State, after: State, name: str) -> str | None:
         group = only_in(after.fit, name, self.groups)
