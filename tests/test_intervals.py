@@ -56,3 +56,16 @@ def test_of_few_runs_that_differ_no_mean_is_better_known_than_by_their_scatter()
         found = estimates(fitted, runs=differing([0.0, float(np.std(own, ddof=1)), 0.0], runs))[names[0]]
         held += found.ci95[0] <= level_pct <= found.ci95[1]
     assert 0.92 * sets <= held <= 0.98 * sets
+
+
+def test_a_phase_that_fits_to_replicas_tell_on_either_side_of_half_a_turn_is_known_as_well() -> None:
+    """Phases of 179 and -179 degrees are two degrees apart: they made an interval of all that a phase may be."""
+    values: dict[str, float | str] = {"linear.gain_deg_s_per_pct": 10.0, "linear.tau_s": 0.08}
+    level = {"level_pct": 1.0, "order": 1.0, "phase_deg": 179.5}
+    model = Model((), values).with_effect("cogging_torque", level)
+    phases = 179.5 + np.random.default_rng(3).standard_normal(32)
+    replicas = [model.with_values({"cogging_torque.phase_deg": (p + 180.0) % 360.0 - 180.0}) for p in phases.tolist()]
+    columns, none = np.random.default_rng(4).standard_normal((400, 1)), np.empty((400, 0))
+    names = ("cogging_torque.phase_deg",)
+    fitted = Fit(model, names, 1.0, (1e-3 * columns[:, 0],), (columns,), (none,), (Start(0.0, 0.0),), True, 400.0)
+    assert 1.5 < estimates(fitted, replicas)[names[0]].half_width < 3.0

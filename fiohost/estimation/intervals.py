@@ -141,8 +141,10 @@ def estimates(
         i = fit.names.index(name)
         half = 1.96 * float(np.sqrt(max(cov[i, i], 0.0))) if np.isfinite(cov[i, i]) else np.inf
         if len(replicas) > 1:
-            drawn = [model.number(name) for model in replicas]
-            half = max(half, float(stdtrit(len(drawn) - 1, 0.975) * np.std(drawn, ddof=1)))
+            off = np.array([model.number(name) for model in replicas]) - value
+            if parameter.period:  # a fitted phase is told within one turn
+                off = (off + 0.5 * parameter.period) % parameter.period - 0.5 * parameter.period
+            half = max(half, float(stdtrit(len(off) - 1, 0.975) * np.std(off, ddof=1)))
         half = max(half, apart.get(name, 0.0)) + 0.5 * count * _turns_with_zero(fit.model, name)
         low, high = max(value - half, parameter.lower), min(value + half, parameter.upper)
         at_bound = value <= parameter.lower or value >= parameter.upper
