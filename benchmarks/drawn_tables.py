@@ -21,9 +21,9 @@ from scipy.stats import beta
 
 from fiohost.control.closed_loop import Loop, Plant
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.evidence import Figure, Row, Table
 from fiohost.discover.tables.responses import Response, Responses
 from fiohost.discover.tables.steady import CONSTANTS, Point, SteadyReadings
+from fiohost.discover.tables.table import Figure, Row, Table
 from fiohost.motor.model import Model
 
 DUTIES_PCT = (5, 10, 15, 20, 30, 40, 50, 60, 80, 100)

@@ -17,8 +17,8 @@ import numpy as np
 
 from fiohost.circle.readings import read_readings
 from fiohost.control.metrics import step_figures
-from fiohost.discover.tables.evidence import Row
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.table import Row
 from fiohost.labs.constants import TEXT, MotorConstants
 from fiohost.labs.play import IDEAL, NO_LIMITS, Limits, PositionLaw, Torque, play_model
 from fiohost.labs.session import Gains

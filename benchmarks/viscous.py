@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiohost.control.closed_loop import Plant
-from fiohost.discover.tables.evidence import Constant, Figure, Row
+from fiohost.discover.tables.evidence import Readings
 from fiohost.discover.tables.fit import LOOKS, TableFit, fit_tables
-from fiohost.discover.tables.objective import Readings
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.table import Constant, Figure, Row
 from fiohost.discover.tables.worth import Worth, left_out_rms
 from fiohost.labs.constants import MotorConstants
 from fiohost.motor.model import Model

@@ -88,9 +88,10 @@ def oracle(case: Case, train: list[Any]) -> dict[str, float]:
     """
     import numpy as np
 
-    from fiohost.discover.null import draw_null
-    from fiohost.discover.screen import Screen, candidates, span_of
-    from fiohost.discover.weighed import WeighedWindows
+    from fiohost.discover.logs.bootstrap import draw_null
+    from fiohost.discover.logs.offered import candidates, span_of
+    from fiohost.discover.logs.screen import Screen
+    from fiohost.discover.logs.weighed_windows import WeighedWindows
     from fiohost.estimation.fit import fit, fit_from_scratch
     from fiohost.estimation.record import record_from_log
     from fiohost.motor.model import Model

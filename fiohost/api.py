@@ -8,7 +8,6 @@ log.
 from __future__ import annotations
 
 import importlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias, Union, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fiohost import strict_json
 from fiohost.bench.log import Log
 from fiohost.errors import ConfigError, DataError
 from fiohost.estimation.logs import Identification
@@ -239,10 +239,9 @@ class Diagnosis:
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The result as strict JSON text, written to a file too where one is named. Raises FiohostError."""
-        from fiohost.cli.output import plain
         from fiohost.files import write_output
 
-        text = json.dumps(plain(dict(self.result)), indent=2, allow_nan=False) + "\n"
+        text = strict_json.text(dict(self.result), ascii_only=True)
         if path is not None:
             write_output(path, text)
         return text

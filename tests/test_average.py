@@ -13,8 +13,8 @@ from fiohost.bench.log import Log
 from fiohost.checks.kinematics import check
 from fiohost.checks.said import Said
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.logs.whitened import noise_of
 from fiohost.discover.result import to_json
-from fiohost.discover.whitened import noise_of
 from fiohost.estimation.bench import joining, with_bench
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import SPEED, Record, make_record, record_from_log, thinned

@@ -10,9 +10,9 @@ import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, multisine, steps, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
+from fiohost.discover.logs.offered import span_of
+from fiohost.discover.logs.whitened import around_runs, freedom
 from fiohost.discover.result import to_json
-from fiohost.discover.screen import span_of
-from fiohost.discover.whitened import around_runs, freedom
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output, turned_deg, windowed
 from fiohost.estimation.record import Record, make_record

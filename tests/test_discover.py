@@ -9,7 +9,7 @@ import pytest
 from bench_data import QUANTUM_DEG, TRUTH, measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.folds import folds, slices
+from fiohost.discover.logs.folds import folds, slices
 from fiohost.discover.result import to_json
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit, fit_from_scratch

@@ -18,7 +18,7 @@ from fiohost.bench.log import Log
 from fiohost.circle import detection
 from fiohost.circle.plan import SUITE, suite
 from fiohost.cli.main import cli
-from fiohost.discover.objective import WholeRuns
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.errors import FiohostError
 from fiohost.estimation.fit import fit
 from fiohost.estimation.record import Record, record_from_log

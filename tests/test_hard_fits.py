@@ -11,16 +11,19 @@ from bench_data import QUANTUM_DEG, TICK_S, measure, steps, suite, truth_model
 from short_runs import logs_of, plant_file
 
 from fiohost.bench.experiment import Experiment
-from fiohost.discover import objective
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.folds import folds
-from fiohost.discover.ladder import in_sequence
-from fiohost.discover.moments import fit_event
-from fiohost.discover.optimise import begun as begun_fits
-from fiohost.discover.optimise import cost_of, gone_on, thorough_fit, unstuck
-from fiohost.discover.refit import Job
+from fiohost.discover.logs.folds import folds
+from fiohost.discover.logs.job import Job
+from fiohost.discover.logs.local_minima import unstuck
+from fiohost.discover.logs.moments import fit_event
+from fiohost.discover.logs.non_smooth import thorough_fit
+from fiohost.discover.logs.one_clock import in_sequence
+from fiohost.discover.logs.optimise import begun as begun_fits
+from fiohost.discover.logs.optimise import cost_of, gone_on
+from fiohost.discover.logs.rough import rough_fits
+from fiohost.discover.logs.screen import Screen
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.discover.result import to_json
-from fiohost.discover.screen import Screen
 from fiohost.estimation.bench import with_bench
 from fiohost.estimation.fit import fit, fit_from_scratch, unchanged
 from fiohost.estimation.initial import initial_state
@@ -101,7 +104,7 @@ def test_a_model_that_runs_away_costs_infinitely_much_and_others_are_fitted_besi
 
 def test_a_trial_begins_where_least_squares_have_the_model_beside_it_and_goes_on_where_it_may_do_as_well() -> None:
     records = suite(truth_model(("coulomb_friction", "transport_delay"), {"transport_delay.delay_s": 0.04}), 4)
-    runs = objective.WholeRuns(records)
+    runs = WholeRuns(records)
     state = runs.declared(Model.parse("linear+coulomb_friction"), False)
     screen = Screen(state.fit, records)
     scores = {n: screen.score(effect(n)) for n in ("transport_delay", "parameter_change")}
@@ -112,13 +115,13 @@ def test_a_trial_begins_where_least_squares_have_the_model_beside_it_and_goes_on
     assert beside < 0.1 * alone
     jobs = [Job(s, state.fit, records) for s in scores.values()]
     library, floor = runs.beside(state), runs.floor_rms(state)
-    _, (right, hopeless) = library.rough(jobs, floor)
+    _, (right, hopeless) = rough_fits(library.logs, jobs, floor)
     assert right.rms < 1.1 * floor
     assert hopeless.cost == begun_fits(state.fit, scores["parameter_change"], records)[0].cost
     rival = runs.settled(fit(right.model, records))
-    _, (as_it_began,) = library.rough(jobs[1:], floor, rival)
+    _, (as_it_began,) = rough_fits(library.logs, jobs[1:], floor, rival)
     assert as_it_began.cost == hopeless.cost
-    _, (gone,) = library.rough(jobs[1:], floor)
+    _, (gone,) = rough_fits(library.logs, jobs[1:], floor)
     assert gone.cost < hopeless.cost
 
 

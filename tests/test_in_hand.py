@@ -13,8 +13,8 @@ from short_runs import logs_of, plant_file, random_steps
 from fiohost.cli.main import cli
 from fiohost.control.design import design
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.logs.unnamed import with_curves
 from fiohost.discover.result import to_json
-from fiohost.discover.unnamed import with_curves
 from fiohost.errors import FiohostError
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record

@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 from bench_data import measure, steps, suite, truth_model
 
-from fiohost.discover import objective, refit
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
-from fiohost.discover.ladder import Ladder, in_sequence
-from fiohost.discover.moments import unconfirmed_moment
+from fiohost.discover.logs import finals, whole_runs
+from fiohost.discover.logs.evidence import Logs
+from fiohost.discover.logs.ladder import Ladder
+from fiohost.discover.logs.local_minima import polish
+from fiohost.discover.logs.moments import unconfirmed_moment
+from fiohost.discover.logs.one_clock import in_sequence
+from fiohost.discover.logs.optimise import carried_on
+from fiohost.discover.logs.plain_windows import PlainWindows
+from fiohost.discover.logs.rough import rough_fits
+from fiohost.discover.logs.weighed_windows import WeighedWindows
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.discover.nodes import Node
-from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
-from fiohost.discover.optimise import carried_on, polish
 from fiohost.discover.search import Search
-from fiohost.discover.weighed import WeighedWindows
 from fiohost.estimation.fit import Fit, fit, fit_from_scratch, unchanged
 from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage
@@ -106,7 +111,7 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
         fitted.append(rough.model.effects[-1])
         return carried_on(rough, logs)
 
-    monkeypatch.setattr(refit, "carried_on", counted)
+    monkeypatch.setattr(finals, "carried_on", counted)
     offered = [effects()[n] for n in ("gravity_load", "cogging_torque", "position_dependent_friction")]
     beside = runs.beside(without)
     alone = dict((e.name, s) for e, s in beside.refitted(offered, lambda text: None))
@@ -114,7 +119,7 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
     assert alone["gravity_load"].fit.rms == pytest.approx(rival.fit.rms, rel=0.05)
     fitted.clear()
     jobs, floor = beside.worth(), runs.floor_rms(without)
-    again = beside.carried(*beside.rough(jobs, floor), floor, rival)
+    again = beside.finals.carried(*rough_fits(beside.logs, jobs, floor), floor, rival)
     assert again["gravity_load"][1] is rival
     assert "gravity_load" not in fitted
 
@@ -146,7 +151,7 @@ def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.
             found.append(fitted.model.effects)
             return fitted
 
-        monkeypatch.setattr(objective, name, recorded)
+        monkeypatch.setattr(whole_runs, name, recorded)
     values = {"constant_load.level_pct": 2.5, "quadratic_drag.pct_at_1000_deg_s": 1.0}
     records = suite(truth_model(("coulomb_friction", "constant_load", "quadratic_drag"), values), 3)
     added = ("coulomb_friction", "constant_load")
@@ -178,7 +183,7 @@ def test_what_follows_the_data_is_got_off_its_ledge_where_more_than_counts_is_le
             called.append(name)
             return found
 
-        monkeypatch.setattr(objective, name, recorded)
+        monkeypatch.setattr(whole_runs, name, recorded)
     records = suite(truth_model(), 3)
     runs, truth = WholeRuns(records), fit(truth_model(), records)
     gain = off * truth.model.number("linear.gain_deg_s_per_pct")
@@ -226,7 +231,7 @@ def test_what_was_polished_in_vain_is_neither_judged_nor_polished_again(monkeypa
         looked.append(found)
         return polish(found, records, rng)
 
-    monkeypatch.setattr(objective, "polish", recorded)
+    monkeypatch.setattr(whole_runs, "polish", recorded)
     monkeypatch.setattr(WholeRuns, "_nothing_to_gain", lambda self, state: False)
     state = runs.settled(fit(truth_model(), records))
     assert runs.polished(state) is state

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fiohost.discover.lines import Series, clock_lines
-from fiohost.discover.objective import WholeRuns
-from fiohost.discover.screen import Screen, candidates
+from fiohost.discover.logs.lines import Series, clock_lines
+from fiohost.discover.logs.offered import candidates
+from fiohost.discover.logs.screen import Screen
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record

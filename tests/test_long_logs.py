@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, steps, truth_model
 
-from fiohost.discover import ladder as ladders
 from fiohost.discover.evidence import State
-from fiohost.discover.ladder import Ladder
+from fiohost.discover.logs import ladder as ladders
+from fiohost.discover.logs.ladder import Ladder
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record

@@ -8,8 +8,8 @@ from test_noise import STEP_S, drawn
 from test_speed_filter import LOOP_S, TICK_S, duties, model, speeds
 
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.logs.whitened import drawing, with_noise
 from fiohost.discover.result import to_json
-from fiohost.discover.whitened import drawing, with_noise
 from fiohost.estimation.record import SPEED, Record, make_record
 from fiohost.motor.model import Model
 from fiohost.noise import covariance

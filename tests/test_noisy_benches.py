@@ -14,9 +14,9 @@ from fiohost.bench.log import Log
 from fiohost.circle.evidence import diagnose
 from fiohost.discover.degenerate import believed, degenerate, may_vanish
 from fiohost.discover.diagnose import Diagnosis
+from fiohost.discover.logs.weighed_windows import WeighedWindows
 from fiohost.discover.result import to_json
 from fiohost.discover.step import Found, Step
-from fiohost.discover.weighed import WeighedWindows
 from fiohost.judging.metrics import Judgement
 from fiohost.judging.stage import Stage
 from fiohost.noise.estimate import NONE

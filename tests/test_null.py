@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from bench_data import measure, steps, truth_model
 
-from fiohost.discover.null import BoundedDirections, draw_null
-from fiohost.discover.screen import Screen
+from fiohost.discover.logs.bootstrap import BoundedDirections, draw_null
+from fiohost.discover.logs.screen import Screen
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import fit
 from fiohost.judging.levels import levels_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fiohost.discover.own_start import OwnSettings, from_zero, own_starts, pooled
+from fiohost.discover.logs.own_start import OwnSettings, from_zero, own_starts, pooled
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
 from fiohost.motor.model import Model

@@ -16,8 +16,8 @@ from fiohost.cli.main import cli
 from fiohost.control.closed_loop import Loop, Plant
 from fiohost.control.metrics import step_figures
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.evidence import Figure, Row
 from fiohost.discover.tables.responses import Response, Responses
+from fiohost.discover.tables.table import Figure, Row
 from fiohost.discover.tables.worth import left_out_rms, scatter_needed, worth
 from fiohost.errors import ConfigError
 from fiohost.labs.constants import TEXT

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fiohost.discover.whitened import drawing
+from fiohost.discover.logs.whitened import drawing
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record

@@ -20,11 +20,11 @@ from fiohost.cli.main import cli
 from fiohost.control.closed_loop import Plant
 from fiohost.control.metrics import step_figures
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.evidence import Row
 from fiohost.discover.tables.fit import Rows, fit_tables
 from fiohost.discover.tables.responses import Responses
 from fiohost.discover.tables.starts import fit_declared
 from fiohost.discover.tables.steady import operate
+from fiohost.discover.tables.table import Row
 from fiohost.motor.model import Model
 
 SOME = ["voltage_saturation", "constant_load", "quadratic_drag", "duty_curve", "transport_delay"]

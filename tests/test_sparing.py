@@ -10,9 +10,12 @@ from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
-from fiohost.discover.objective import Logs, PlainWindows, WholeRuns
-from fiohost.discover.optimise import fits_anew
-from fiohost.discover.refit import Job
+from fiohost.discover.logs.evidence import Logs
+from fiohost.discover.logs.job import Job
+from fiohost.discover.logs.optimise import fits_anew
+from fiohost.discover.logs.plain_windows import PlainWindows
+from fiohost.discover.logs.rough import rough_fits
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import Record
@@ -71,7 +74,7 @@ def test_the_best_scores_are_enough_where_more_would_change_nothing() -> None:
         best = max(scores.values(), key=lambda score: score.share)
         scores |= {near: replace(scores[near], share=0.9 * best.share)} if near else {}
         jobs = [Job(score, state.fit, screen.records) for score in scores.values()]
-        asked, fits = logs.beside(state).rough(jobs, logs.floor_rms(state), rival)
+        asked, fits = rough_fits(logs, jobs, logs.floor_rms(state), rival)
         assert len(asked) == len(fits)
         assert not near or near in [job.name for job in asked]
         return len(fits)
@@ -103,7 +106,7 @@ def test_long_runs_are_tried_at_their_beginnings_first() -> None:
         jobs = [Job(screen.score(effect(n)), state.fit, screen.records) for n in names]
         beside, floor = runs.beside(state), runs.floor_rms(state)
         assert sum(r.seconds for r in runs.beginnings) <= 1.25 * SETTINGS.most_windows
-        left, fits = beside.rough(jobs, floor)
+        left, fits = rough_fits(beside.logs, jobs, floor)
         return [job.name for job in left], min(f.rms for f in fits) / floor, max(f.samples for f in fits)
 
     left, above, samples = asked(record)

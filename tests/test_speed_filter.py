@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fiohost.discover.diagnose import diagnose_records
-from fiohost.discover.screen import candidates, span_of
+from fiohost.discover.logs.offered import candidates, span_of
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import ANGLE, MEAN_SPEED, SPEED, Record, make_record

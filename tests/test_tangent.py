@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, measure, steps, truth_model
 
-from fiohost.discover.movement import movement
-from fiohost.discover.whitened import with_noise
+from fiohost.discover.logs.movement import movement
+from fiohost.discover.logs.whitened import with_noise
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output, windowed
 from fiohost.estimation.record import Record

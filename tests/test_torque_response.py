@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pairs import NAMES, as_model, draw_plant
 
-from fiohost.discover.movement import movement
-from fiohost.discover.whitened import motor_of
+from fiohost.discover.logs.movement import movement
+from fiohost.discover.logs.whitened import motor_of
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import ANGLE, make_record

@@ -13,7 +13,7 @@ from short_runs import logs_of, multisine, plant_file, staircase
 from fiohost.bench.experiment import Experiment
 from fiohost.bench.signals import RandomSteps
 from fiohost.circle.replay import replay
-from fiohost.discover.weighed import WeighedWindows
+from fiohost.discover.logs.weighed_windows import WeighedWindows
 from fiohost.estimation.bench import on_turns, with_bench
 from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.record import Record, make_record, record_from_log

@@ -9,12 +9,14 @@ import pytest
 from bench_data import suite, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.movement import at_rest, movement, standing
-from fiohost.discover.refit import Job, LogsBeside, ranked
+from fiohost.discover.logs.job import Job
+from fiohost.discover.logs.movement import at_rest, movement, standing
+from fiohost.discover.logs.refit import LogsBeside, ranked
+from fiohost.discover.logs.rough import rough_fits
+from fiohost.discover.logs.weighed_windows import WeighedWindows
+from fiohost.discover.logs.whitened import with_noise
 from fiohost.discover.result import to_json
 from fiohost.discover.settings import SETTINGS
-from fiohost.discover.weighed import WeighedWindows
-from fiohost.discover.whitened import with_noise
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output, windowed
@@ -325,7 +327,7 @@ def test_what_is_carried_to_its_minimum_begins_under_noise_and_in_windows_as_the
     beside = LogsBeside(windows, state)
     beside.ranked = [ranked(screen, [effect(name) for name in LIBRARY[1:]], False) for screen in beside.screens]
     shown = Job(next(s for s in beside.ranked[1] if s.trials), beside.screens[1].fit, beside.screens[1].records)
-    jobs, rough = beside.by_every_screen(*beside.rough([shown], np.inf), np.inf)
+    jobs, rough = beside.by_every_screen(*rough_fits(beside.logs, [shown], np.inf), np.inf)
     assert [job.name for job in jobs] == [shown.name] * 2
     assert [job.records is screen.records for job, screen in zip(jobs, beside.screens[::-1], strict=True)] == [True] * 2
     assert all(f.cost < job.base.cost for job, f in zip(jobs, rough, strict=True))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bench_data import QUANTUM_DEG, TICK_S, measure, truth_model
 
-from fiohost.discover.movement import movement
-from fiohost.discover.optimise import chosen_again
-from fiohost.discover.whitened import with_noise
+from fiohost.discover.logs.movement import movement
+from fiohost.discover.logs.non_smooth import chosen_again
+from fiohost.discover.logs.whitened import with_noise
 from fiohost.estimation.bench import with_bench
 from fiohost.estimation.fit import fit
 from fiohost.estimation.initial import guessed_warmth, initial_state

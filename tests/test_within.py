@@ -9,8 +9,8 @@ import pytest
 from bench_data import suite, truth_model
 
 from fiohost.discover.evidence import State
-from fiohost.discover.refit import LogsBeside
-from fiohost.discover.weighed import WeighedWindows
+from fiohost.discover.logs.refit import LogsBeside
+from fiohost.discover.logs.weighed_windows import WeighedWindows
 from fiohost.estimation.fit import Fit, fit
 from fiohost.motor.effect import effect
 

@@ -14,7 +14,7 @@ SOURCES = (
     "fiohost/discover/settings.py",
     "fiohost/judging/settings.py",
     "fiohost/discover/degenerate.py",
-    "fiohost/discover/own_start.py",
+    "fiohost/discover/logs/own_start.py",
     "fiohost/noise/settings.py",
     "fiohost/estimation/stamps.py",
 )

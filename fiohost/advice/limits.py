@@ -13,7 +13,8 @@ import numpy as np
 
 from fiohost.advice.grown import Grown, Log, Seen, largest, smallest
 from fiohost.advice.limit import Limit
-from fiohost.discover.screen import Trial, candidates, span_of
+from fiohost.discover.logs.offered import candidates, span_of
+from fiohost.discover.trials import Trial
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output, squared
 from fiohost.estimation.record import Record

@@ -15,7 +15,7 @@ import numpy as np
 
 from fiohost.checks.excitation import lacks
 from fiohost.checks.exercised import Exercised
-from fiohost.discover.folds import folds
+from fiohost.discover.logs.folds import folds
 from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.discover.step import Step
 from fiohost.estimation.fit import Fit, fit

@@ -7,6 +7,7 @@ and the change of speed that the record itself shows to be in reach. What lies o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,6 +115,17 @@ def roughness(data: Counts) -> tuple[np.ndarray, np.ndarray]:
 def spread(values: np.ndarray) -> float:
     """Standard deviation of the bulk, from the median of sizes."""
     return TO_SIGMA * float(np.median(np.abs(values))) if values.size else 0.0
+
+
+def noisy_sensor(records: Sequence[Record]) -> bool:
+    """Whether readings of a moving shaft are rougher than any counts make them; of a sensor without counts nothing else
+    is known.
+    """
+    if max(r.quantum for r in records) <= 0.0:
+        return True
+    found = [roughness(data) for data in map(counts_of, records) if data is not None]
+    rough = np.concatenate([[], *(r[np.abs(speed) > AT_SPEED] for r, speed in found)])
+    return len(rough) >= LEAST_MOVING and spread(rough) > ROUGHEST_COUNTS
 
 
 def doubt(data: Counts) -> float:

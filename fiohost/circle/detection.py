@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from fiohost.advice.limit import Limit, Measured
 from fiohost.advice.limits import detection_limits
 from fiohost.circle.evidence import Source, TableIs, check_roles, read_logs, unique_names
-from fiohost.discover.objective import WholeRuns
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.errors import DataError
 from fiohost.estimation.bench import pwm_of, with_bench
 from fiohost.estimation.record import record_from_log

@@ -11,7 +11,7 @@ from fiohost.bench.log import IMPORTED, Log
 from fiohost.checks.said import said_by
 from fiohost.circle.menu import menu
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
-from fiohost.discover.own_start import SETTINGS as OWN
+from fiohost.discover.logs.own_start import SETTINGS as OWN
 from fiohost.errors import ConfigError, DataError
 from fiohost.estimation.record import Record, record_from_log
 from fiohost.importing.found import Answers

@@ -11,9 +11,9 @@ from pathlib import Path
 from fiohost.bench.table import read_cells
 from fiohost.control.closed_loop import Loop
 from fiohost.discover.tables.diagnose import TableDiagnosis, diagnose_tables
-from fiohost.discover.tables.evidence import Figure, Row, Table
 from fiohost.discover.tables.responses import RESPONSE_FIGURES, Response, Responses
 from fiohost.discover.tables.steady import CONSTANTS, Point, SteadyReadings, with_values
+from fiohost.discover.tables.table import Figure, Row, Table
 from fiohost.errors import ConfigError, DataError
 from fiohost.motor.model import Model
 from fiohost.settings import Table as Toml

@@ -192,7 +192,7 @@ def _diagnose_readings(
 ) -> None:
     """``diagnose`` on tables of readings."""
     from fiohost.circle.readings import diagnose_readings
-    from fiohost.discover.tables.evidence import Table
+    from fiohost.discover.tables.table import Table
     from fiohost.report.readings import print_readings, readings_curves
 
     say = output_for(json_to)

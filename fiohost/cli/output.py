@@ -5,16 +5,14 @@ With ``--json -`` standard output holds the JSON and nothing else; all text goes
 
 from __future__ import annotations
 
-import json
 import logging
-import math
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 import click
 
-from fiohost import files
+from fiohost import files, strict_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,25 +83,8 @@ def write_json(json_to: str | None, result: Any) -> None:
     if json_to is None:
         return
     to_stream = json_to == "-"  # whose encoding is anybody's
-    text = json.dumps(plain(result), indent=2, allow_nan=False, ensure_ascii=to_stream) + "\n"
+    text = strict_json.text(result, ascii_only=to_stream)
     if to_stream:
         click.echo(text, nl=False)
         return
     files.write_output(json_to, text)
-
-
-def plain(value: Any) -> Any:
-    """The same value in JSON's own types: arrays become lists, paths text, NaN and infinity null."""
-    if value is None or isinstance(value, (bool, int)):
-        return value
-    if isinstance(value, str):  # a name in an odd locale is bytes in disguise
-        return value.encode(errors="surrogateescape").decode(errors="replace")
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {plain(str(k)): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, set)):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):  # numpy, without importing it
-        return plain(value.tolist())
-    return plain(str(value))

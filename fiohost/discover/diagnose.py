@@ -18,12 +18,13 @@ from fiohost.checks.preliminary import Preliminary, examine
 from fiohost.checks.said import Said
 from fiohost.discover.candidate import Candidate, Progress
 from fiohost.discover.degenerate import believed
-from fiohost.discover.ladder import Ladder, in_sequence
-from fiohost.discover.own_start import SETTINGS as OWN
-from fiohost.discover.own_start import OwnSettings, OwnStart, own_starts
+from fiohost.discover.logs.ladder import Ladder
+from fiohost.discover.logs.one_clock import in_sequence
+from fiohost.discover.logs.own_start import SETTINGS as OWN
+from fiohost.discover.logs.own_start import OwnSettings, OwnStart, own_starts
+from fiohost.discover.logs.unnamed import Unnamed, with_curves
+from fiohost.discover.logs.whitened import drawing, looks_white, noise_of
 from fiohost.discover.step import Step
-from fiohost.discover.unnamed import Unnamed, with_curves
-from fiohost.discover.whitened import drawing, looks_white, noise_of
 from fiohost.errors import DataError
 from fiohost.estimation.bench import joining, pwm_of, with_bench
 from fiohost.estimation.intervals import Estimate, estimates

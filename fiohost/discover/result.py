@@ -8,7 +8,7 @@ from typing import Any
 
 from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
-from fiohost.discover.own_start import pooled as pooled_own
+from fiohost.discover.logs.own_start import pooled as pooled_own
 from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.estimation.intervals import Estimate
 from fiohost.estimation.stamps import SETTINGS as STAMPS

@@ -19,6 +19,7 @@ from fiohost.errors import ConfigError, FiohostError
 from fiohost.files import make_folder
 from fiohost.fleet.benches import Bench, key_of
 from fiohost.fleet.work import SCHEMA, Settings, work
+from fiohost.strict_json import plain
 from fiohost.workers import one_thread
 
 KEPT = "benches"
@@ -83,8 +84,6 @@ def _kept(path: Path, key: str) -> dict[str, Any] | None:
 
 def _keep(path: Path, row: Mapping[str, Any]) -> None:
     """Whole or not at all. Raises FiohostError."""
-    from fiohost.cli.output import plain
-
     try:
         fd, temporary = tempfile.mkstemp(prefix=".fiohost-", dir=path.parent)
         with os.fdopen(fd, "w", encoding="utf-8") as stream:

@@ -86,7 +86,7 @@ def fitted(model: Any, records: Any) -> dict[str, Any]:
     Windows are weighed by the noise that the fit leaves itself, a torque that lasts from one to the next with it; the
     covariance is what such weights say.
     """
-    from fiohost.discover.whitened import settle
+    from fiohost.discover.logs.whitened import settle
     from fiohost.estimation.fit import fit_from_scratch
 
     plain = fit_from_scratch(model.on_axis(records[0].rotary), records, keep_start=model.given, windows=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from fiohost.discover.whitened import motor_of, noise_of
+from fiohost.discover.logs.whitened import motor_of, noise_of
 from fiohost.errors import DataError
 from fiohost.estimation.fit import fit_from_scratch
 from fiohost.estimation.predict import Flat

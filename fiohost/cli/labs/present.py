@@ -60,9 +60,9 @@ def _write_worksheet(result: LabResult, out: Output, meta: dict[str, Any]) -> No
     """The page with blanks for the student, and all answers for the teacher where a file is named for them."""
     import json
 
-    from fiohost.cli.output import plain
     from fiohost.errors import ConfigError
     from fiohost.report.worksheet import worksheet_page
+    from fiohost.strict_json import plain
 
     if out.json_to is not None:
         raise ConfigError("a worksheet has no answers, so there is no --json beside it; --answers FILE writes them")

@@ -17,9 +17,9 @@ from fiohost.discover.result import clean
 from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
-from fiohost.discover.tables.evidence import Table
+from fiohost.discover.tables.evidence import Readings, TableStage
 from fiohost.discover.tables.fit import Rows, TableFit
-from fiohost.discover.tables.objective import Readings, TableStage
+from fiohost.discover.tables.table import Table
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate
 from fiohost.motor.model import Model

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from fiohost.control.closed_loop import Plant
-from fiohost.discover.tables.evidence import Constant, Figure, Row, Table
+from fiohost.discover.tables.table import Constant, Figure, Row, Table
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.solver import project
 from fiohost.motor.model import Model, slot

@@ -9,7 +9,7 @@ import numpy as np
 
 from fiohost.control.closed_loop import Loop, LoopRun, Plant, step_run
 from fiohost.control.metrics import step_figures
-from fiohost.discover.tables.evidence import Constant, Figure, Row
+from fiohost.discover.tables.table import Constant, Figure, Row
 
 # Figure of a file -> its unit; "" is the unit of the step.
 RESPONSE_FIGURES = {

@@ -12,8 +12,8 @@ from itertools import product
 
 import numpy as np
 
-from fiohost.discover.screen import varied
 from fiohost.discover.tables.fit import LOOKS, Rows, TableFit, deviations, fit_tables, squares
+from fiohost.discover.trials import varied
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fiohost.control.closed_loop import Plant
-from fiohost.discover.tables.evidence import Constant, Figure, Row
+from fiohost.discover.tables.table import Constant, Figure, Row
 from fiohost.motor.compiled import compiled
 from fiohost.motor.effect import effects, layout
 from fiohost.motor.electrics import settled_current

@@ -9,8 +9,8 @@ import numpy as np
 
 from fiohost.discover.belief import Belief
 from fiohost.discover.nodes import Child, Node
+from fiohost.discover.tables.evidence import Readings, not_shown
 from fiohost.discover.tables.fit import TableFit, without_row
-from fiohost.discover.tables.objective import Readings, not_shown
 from fiohost.errors import ConfigError
 from fiohost.motor.effect import effect
 

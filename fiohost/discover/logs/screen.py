@@ -8,99 +8,25 @@ residual's power along it is its score.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.lines import Series, clock_lines
+from fiohost.discover.logs.lines import Series, clock_lines
+from fiohost.discover.logs.offered import span_of
+from fiohost.discover.logs.scores import Direction, Score, _scaled, powers
 from fiohost.discover.settings import SETTINGS
+from fiohost.discover.trials import Trial, varied
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.predict import Flat, errors, squared, windowed
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import Record
 from fiohost.estimation.tangent import Tangent
 from fiohost.judging.missing_torque import missing_torque
-from fiohost.motor.effect import Effect, Span, Value, effects
-from fiohost.motor.model import Model
+from fiohost.motor.effect import Effect
 
 SCREEN = SETTINGS.screen
 # So many trials are whitened together: more would only fill the memory.
 TOGETHER = 8
-
-
-Trial = dict[str, Value]
-
-
-@dataclass(frozen=True)
-class Direction:
-    """One way in which an effect may act: trial values, and the orthonormal signatures (n, k) they leave.
-
-    ``share`` is the part of the residual's power along them, zero where physics forbids the sign; ``as_it_is`` what the
-    trial removes of that power at the size that it has. Of an effect bound to
-    the angle there is, for each of its sizes, a sine and a cosine for each zero of angle that the logs have: one size,
-    a phase each, so ``weights`` (sizes, zeros) are what belongs together. ``own`` are the model's own parameters beside
-    the trial, as least squares have them.
-    """
-
-    trial: Trial
-    basis: np.ndarray
-    share: float
-    weights: np.ndarray = field(default_factory=lambda: np.ones((1, 1)))
-    as_it_is: float = 0.0
-    own: Trial = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Score:
-    """One effect against the residual: its directions, best first, and the trials from which to refit it.
-
-    ``raw`` are the trials as the library gives them, the best first: a size that grows from nothing says little of an
-    effect whose other parameters shape it. ``own`` are the model's own parameters beside each of ``trials``. Those that
-    are ``far`` leave so much more than there was that no few steps in windows lead back from them.
-    """
-
-    effect: Effect
-    share: float
-    trials: tuple[Trial, ...]
-    directions: tuple[Direction, ...]
-    raw: tuple[Trial, ...] = ()
-    own: tuple[Trial, ...] = ()
-    far: tuple[Trial, ...] = ()
-
-
-def candidates(model: Model, records: Sequence[Record], library: Sequence[str] | None, span: Span) -> list[Effect]:
-    """Effects that may be added to a model: those of the library that are not in it and can act on such records, which
-    cover a ``span``.
-    """
-    names = effects() if library is None else library
-    rotary = all(r.rotary and r.kind == ANGLE for r in records)
-    chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
-    trying = [e for e in chosen if e.tried(span) and (e.measure_speed is None or any(r.kind != ANGLE for r in records))]
-    return [e for e in trying if rotary or not e.angle_bound]
-
-
-def span_of(records: Sequence[Record]) -> Span:
-    """What the records cover."""
-    begin = min(r.excitation.clock_s for r in records)
-    end = max(r.excitation.clock_s + r.seconds for r in records)
-    ends = [end for r in records if r.kind == ANGLE for end in _ends(r)]
-    return Span((begin, end), tuple(ends))
-
-
-def _ends(record: Record) -> list[float]:
-    """Where a record's shaft stood at its extreme angle though driven on, or came to stand there at once from speed; a
-    count's middle.
-    """
-    found = []
-    duty = record.acting_pct
-    for side in (1.0, -1.0):
-        outward = side * record.smooth
-        there = outward >= outward.max() - (1.01 * record.quantum + SCREEN.near_scatter * record.scatter)
-        held = np.count_nonzero(there & (side * duty > SCREEN.driven_on_pct)) * record.sample_time_s >= SCREEN.held_s
-        first = int(np.argmax(there))
-        came = outward[first - 1] - outward[first - 3] >= SCREEN.abrupt_counts * record.quantum if first >= 3 else False
-        if held or (came and there[first : first + SCREEN.stands].all()):
-            found.append(side * float(np.median(outward[there])) + 0.5 * record.quantum)
-    return found
 
 
 class Screen:
@@ -298,34 +224,3 @@ class Screen:
         begun, own = zip(*starts, strict=True) if starts else ((), ())
         away = tuple(t for t, is_far in zip(trials, far, strict=True) if is_far)
         return Score(effect, share, begun, tuple(found[i] for i in order), raw, own, away)
-
-
-def powers(along: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Power (draws) of projections (draws, k) along signatures; ``weights`` (sizes, zeros) are those of equal groups of
-    them whose sizes belong together.
-    """
-    if weights.shape[1] == 1:
-        return np.asarray((along**2).sum(axis=1, dtype=np.float64))
-    groups = np.linalg.norm(along.reshape(len(along), *weights.shape, -1), axis=3)
-    return np.asarray(((groups * weights).sum(axis=2) ** 2).sum(axis=1))
-
-
-def varied(effect: Effect, trials: Sequence[Trial], order: Sequence[int]) -> list[int]:
-    """The order of trials with the best of each choice first: no choice is lost because another scores higher."""
-    kinds = [tuple(trials[i][p.name] for p in effect.parameters if p.is_choice) for i in range(len(trials))]
-    first = [i for n, i in enumerate(order) if kinds[i] not in [kinds[j] for j in order[:n]]]
-    return [*first, *(i for i in order if i not in first)]
-
-
-def _scaled(effect: Effect, trial: Trial, factor: float) -> tuple[Trial, float]:
-    """A trial grown to the size that the residual asks for, within bounds, and by how much; as it is where it has no
-    single size.
-    """
-    sized = [p for p in effect.parameters if p.neutral is not None and p.is_smooth]
-    if len(sized) != 1 or not np.isfinite(factor):
-        return trial, 1.0
-    parameter = sized[0]
-    neutral = float(parameter.neutral or 0.0)
-    size = float(trial[parameter.name]) - neutral
-    value = float(np.clip(neutral + factor * size, parameter.lower, parameter.upper))
-    return {**trial, parameter.name: value}, (value - neutral) / size if size else 1.0

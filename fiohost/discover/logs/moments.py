@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.screen import span_of
+from fiohost.discover.logs.offered import span_of
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, errors, squared

@@ -9,17 +9,19 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from fiohost.checks.counts import AT_SPEED, LEAST_MOVING, ROUGHEST_COUNTS, counts_of, roughness, spread
+from fiohost.checks.counts import noisy_sensor
 from fiohost.discover.candidate import Progress
 from fiohost.discover.evidence import State
+from fiohost.discover.logs.non_smooth import chosen_again, thorough_fit
+from fiohost.discover.logs.one_clock import _by_one_clock
+from fiohost.discover.logs.plain_windows import PlainWindows
+from fiohost.discover.logs.weighed_windows import WeighedWindows
+from fiohost.discover.logs.whitened import drawing, noise_of
+from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.discover.nodes import Node
-from fiohost.discover.objective import PlainWindows, WholeRuns
-from fiohost.discover.optimise import chosen_again, thorough_fit
 from fiohost.discover.search import Search
 from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
-from fiohost.discover.weighed import WeighedWindows
-from fiohost.discover.whitened import drawing, noise_of
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.stage import Stage, judged
@@ -305,38 +307,3 @@ def _plainly_fitted(found: Found[Stage], windows: WeighedWindows, rng: np.random
 def _left_by(fitted: Fit, windows: WeighedWindows, noise: Noise) -> Noise:
     """The noise that a fit to windows as they are leaves, runs differing as they were found to."""
     return replace(noise_of(fitted.model, fitted.starts, windows.plain), runs=noise.runs)
-
-
-def noisy_sensor(records: Sequence[Record]) -> bool:
-    """Whether readings of a moving shaft are rougher than any counts make them; of a sensor without counts nothing else
-    is known.
-    """
-    if max(r.quantum for r in records) <= 0.0:
-        return True
-    found = [roughness(data) for data in map(counts_of, records) if data is not None]
-    rough = np.concatenate([[], *(r[np.abs(speed) > AT_SPEED] for r, speed in found)])
-    return len(rough) >= LEAST_MOVING and spread(rough) > ROUGHEST_COUNTS
-
-
-def in_sequence(records: Sequence[Record]) -> list[Record]:
-    """The records as if each had been begun where the one before it ended."""
-    began = np.cumsum([0.0, *(r.seconds for r in records)])
-    return [
-        replace(r, excitation=replace(r.excitation, clock_s=float(t))) for r, t in zip(records, began[:-1], strict=True)
-    ]
-
-
-def _by_one_clock(
-    runs: WholeRuns, library: Sequence[str] | None, say: Progress, model: Model, from_file: bool
-) -> Found[Stage] | None:
-    """What a search over the records in sequence finds of effects that hang on the bench's own time, where none of
-    several says when it was begun; None if nothing that explains them all.
-    """
-    names = [n for n in (effects() if library is None else library) if effects()[n].clocked]
-    if len(runs.train) < 2 or any(r.excitation.clock_s != 0.0 for r in runs.train) or not names:
-        return None
-    say("the logs do not say when they were begun: as if taken one after the other")
-    search = Search(WholeRuns(in_sequence(runs.train), runs.rng), names, say)
-    root = search.declared(model, from_file)
-    best = search.run(root)
-    return replace(search.found(root, best), one_clock=True) if best.added and search.explains(best) else None

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.folds import piece
-from fiohost.discover.movement import at_rest, movement, standing
-from fiohost.discover.whitened import with_noise
+from fiohost.discover.logs.folds import piece
+from fiohost.discover.logs.movement import at_rest, movement, standing
+from fiohost.discover.logs.whitened import with_noise
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.initial import has_own_zero
 from fiohost.estimation.predict import Flat

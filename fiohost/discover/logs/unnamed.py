@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.discover.score import Gain, left_out
-from fiohost.discover.weighed import WeighedWindows
+from fiohost.discover.logs.left_out import left_out
+from fiohost.discover.logs.weighed_windows import WeighedWindows
+from fiohost.discover.score import Gain
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import ANGLE, Record
 from fiohost.motor.model import Model

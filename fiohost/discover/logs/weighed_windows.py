@@ -12,13 +12,15 @@ import numpy as np
 
 from fiohost.discover.degenerate import core_lost
 from fiohost.discover.evidence import State
-from fiohost.discover.null import draw_null
-from fiohost.discover.objective import PlainWindows
-from fiohost.discover.optimise import again, thorough_fit
-from fiohost.discover.score import Gain, left_out, objection
-from fiohost.discover.screen import Screen
+from fiohost.discover.logs.bootstrap import draw_null
+from fiohost.discover.logs.left_out import left_out
+from fiohost.discover.logs.non_smooth import thorough_fit
+from fiohost.discover.logs.optimise import again
+from fiohost.discover.logs.plain_windows import PlainWindows
+from fiohost.discover.logs.screen import Screen
+from fiohost.discover.logs.whitened import drawing, settle, with_noise, with_scatter
+from fiohost.discover.score import Gain, objection
 from fiohost.discover.settings import SETTINGS, SearchSettings
-from fiohost.discover.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.record import Record
 from fiohost.judging.followed import ruled

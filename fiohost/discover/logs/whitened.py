@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiohost.discover.movement import at_rest, coasting, movement, settling_s, simulated_in_windows, standing
+from fiohost.discover.logs.movement import at_rest, coasting, movement, settling_s, simulated_in_windows, standing
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
 from fiohost.estimation.predict import Flat, windowed

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from fiohost.discover.evidence import State
-from fiohost.discover.null import draw_null
-from fiohost.discover.optimise import OPTIMISER, again
-from fiohost.discover.screen import Score, Screen
-from fiohost.discover.settings import SearchSettings
+from fiohost.discover.logs.bootstrap import draw_null
+from fiohost.discover.logs.job import Job, Logs
+from fiohost.discover.logs.optimise import OPTIMISER, again
+from fiohost.discover.logs.scores import Score
+from fiohost.discover.logs.screen import Screen
 from fiohost.estimation.fit import Fit
-from fiohost.estimation.record import Record
 from fiohost.noise.runs import LOAD_EFFECT
 from fiohost.workers import each
 
@@ -22,36 +21,12 @@ from fiohost.workers import each
 NULL_SEED = 3
 
 
-class Windows(Protocol):
-    """What is asked of the logs' evidence."""
-
-    exact: bool
-    settings: SearchSettings
-
-    @property
-    def margin(self) -> float:
-        """How many times what chance reaches a candidate has to gain."""
-
-    def white(self, state: State) -> bool:
-        """Whether what a state leaves is noise."""
-
-
-class Scored(Protocol):
-    """A scored effect, and what it is refitted beside."""
-
-    @property
-    def score(self) -> Score: ...
-
-    @property
-    def records(self) -> Sequence[Record]: ...
-
-
 def within_noise(
-    logs: Windows,
+    logs: Logs,
     state: State,
     screen: Screen,
     scores: Sequence[Score],
-    jobs: Sequence[Scored],
+    jobs: Sequence[Job],
     fits: Mapping[int, Fit],
 ) -> dict[int, State]:
     """The states of ``fits`` (by their places among the ``jobs``) that gain too little to be believed under any noise,
