@@ -92,10 +92,13 @@ class ResidualResult(TypedDict):
 
 
 class NoiseResult(TypedDict):
-    """Noise of sensor and torque; ``sensor_by_log`` is there where the sensor's differs between logs."""
+    """Noise of sensor and torque; ``sensor_by_log`` is there where the sensor's differs between logs, and
+    ``sensor_of_angle`` where speeds are taken from an angle that is noisy.
+    """
 
     sensor_rms: ParameterResult
     sensor_by_log: NotRequired[dict[str, float]]
+    sensor_of_angle: NotRequired[bool]
     torque_rms_pct: ParameterResult
     torque_time_s: ParameterResult
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fiohost.noise import covariance
-from fiohost.noise.draw import draw_torque
+from fiohost.noise.draw import draw_sensor, draw_torque
 from fiohost.noise.estimate import Noise, Ranged, estimate
 from fiohost.noise.likelihood import Motor, pieces
 from fiohost.noise.quantum import found_quantum
@@ -88,6 +88,25 @@ def test_a_torque_is_found_in_the_prototype_s_sets() -> None:
         assert found.torque_known
         assert found.torque_pct.value == pytest.approx(torque_pct, rel=0.15)
         assert found.sensor.value == pytest.approx(0.104, abs=0.02)
+
+
+@pytest.mark.parametrize("of_angle", [False, True])
+def test_noise_of_the_angle_is_told_from_noise_of_the_speed_that_is_taken_from_it(of_angle: bool) -> None:
+    """What one speed lacks the next one has: taken for noise of the speed it was never white."""
+    rng = np.random.default_rng(12)
+    motor = Motor(10.0, 0.08, covariance.MEAN_SPEED, 6.0, 4.0 * STEP_S)
+    residual, speed, lag_s, edges = drawn(rng, motor, 0.0, 0.5, 0.3)
+    sensor = Noise(Ranged(5.0, 5.0, 5.0), Ranged(0.5, 0.5, 0.5), Ranged(0.3, 0.3, 0.3), of_angle=of_angle)
+    residual = residual + draw_sensor(len(residual), sensor, rng)
+    found = estimate(pieces(residual, speed, lag_s, edges, motor))
+    assert found.of_angle is of_angle
+    assert found.sensor.low <= 5.0 <= found.sensor.high
+    assert found.torque_pct.low <= 0.5 <= found.torque_pct.high
+    times, moves = np.arange(len(residual)) * motor.step_s, covariance.Movement.steady(len(residual), motor.tau_s)
+    whitener = Whitener(times, moves, np.ones(len(times)), edges[:-1], edges[1:], motor, found)
+    white = whitener.apply(residual)
+    assert float(white @ white) == pytest.approx(len(white) - 2 * WINDOWS, rel=0.1)
+    assert abs(float(white[1:] @ white[:-1])) < 0.05 * float(white @ white)
 
 
 def test_declared_sensor_noise_is_taken_as_it_is() -> None:
@@ -184,21 +203,32 @@ def test_a_sensor_with_neither_counts_nor_noise_has_a_torque_to_be_found(kind: i
     assert found.sensor.value < 0.1 * float(np.std(left))
 
 
-@pytest.mark.parametrize("kind", [covariance.ANGLE, covariance.SPEED, covariance.MEAN_SPEED])
+@pytest.mark.parametrize(
+    ("kind", "of_angle"),
+    [
+        (covariance.ANGLE, False),
+        (covariance.SPEED, False),
+        (covariance.MEAN_SPEED, False),
+        (covariance.MEAN_SPEED, True),
+    ],
+)
 @pytest.mark.parametrize("torque_pct", [0.0, 1.0])
-def test_innovations_are_what_the_covariance_whitens(kind: int, torque_pct: float) -> None:
+def test_innovations_are_what_the_covariance_whitens(kind: int, torque_pct: float, of_angle: bool) -> None:
     """The filter against the covariance itself, its start free: squares, products and determinant."""
     rng = np.random.default_rng(9)
     motor = Motor(10.0, 0.08, kind, 0.5, 0.01)
-    known = Noise(Ranged(0.2, 0.2, 0.2), Ranged(torque_pct, 0.0, 2.0), Ranged(0.3, 0.3, 0.3))
+    known = Noise(Ranged(0.2, 0.2, 0.2), Ranged(torque_pct, 0.0, 2.0), Ranged(0.3, 0.3, 0.3), of_angle=of_angle)
     n = 60
     times, weights = np.cumsum(rng.uniform(0.008, 0.012, n)), rng.choice([1.0, 0.4], n)
     lag_s = np.where(np.arange(n) < 20, 0.08, np.where(np.arange(n) < 40, 0.02, np.where(np.arange(n) < 50, 0.0, 80.0)))
     keeps = np.where(np.arange(n) == 13, 0.6, 1.0)
     moving = covariance.Movement(lag_s, keeps)
     acts = covariance.response(times, moving, motor.gain, motor.tau_s, kind) * torque_pct
-    own = covariance.counts(n, motor.quantum, kind) / np.outer(weights, weights)
-    own += known.sensor.value**2 * np.eye(n) + acts @ covariance.torque(times, known.torque_s.value) @ acts.T
+    errs = motor.quantum**2 + (6.0 * known.sensor.value**2 if of_angle else 0.0)
+    own = covariance.counts(n, 1.0, kind) * errs / np.outer(weights, weights)
+    own += (0.0 if of_angle else known.sensor.value**2) * np.eye(n) + acts @ covariance.torque(
+        times, known.torque_s.value
+    ) @ acts.T
     starts = covariance.starts(times, moving, kind)
     free = covariance.outside(starts)
     inside = free.T @ own @ free

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from bench_data import measure, multisine, truth_model
+from bench_data import measure, multisine, suite, truth_model
 
+from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.result import to_json
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import MEAN_SPEED, Record, make_record
 from fiohost.judging.followed import dependences
@@ -13,6 +17,7 @@ from fiohost.judging.metrics import judge
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.report.words import verdict_sentence
 
 TICK_S = 0.02
 QUANTUM = 6.0
@@ -44,6 +49,21 @@ def test_counts_of_a_mean_speed_err_like_the_difference_of_two_readings(truth: M
     assert np.std(errors) == pytest.approx(QUANTUM / np.sqrt(6.0), rel=0.15)
     assert np.max(np.abs(np.cumsum(errors))) <= 1.01 * QUANTUM, "counts do not get lost"
     assert np.corrcoef(errors[:-1], errors[1:])[0, 1] < -0.3
+
+
+def test_speeds_from_an_angle_that_is_noisy_are_explained_to_that_noise() -> None:
+    """Differences of noisy readings are not white: taken for noise of the speed, they stayed unexplained."""
+    rng, speeds = np.random.default_rng(6), []
+    for record in suite(truth_model(), 2):
+        shaky = record.y + record.quantum * np.round(rng.standard_normal(len(record)))
+        y = np.diff(shaky, prepend=shaky[0]) / record.sample_time_s
+        quantum = record.quantum / record.sample_time_s
+        speeds.append(replace(record, y=y, kind=MEAN_SPEED, quantum=quantum, unit="deg/s", weights=np.ones(len(y))))
+    library = ["quadratic_drag", "viscous_friction", "cogging_torque", "input_deadband"]
+    told = to_json(diagnose_records(speeds, [], Model.parse("linear+coulomb_friction"), library=library))
+    assert (told["verdict"], told["explained_to"]) == ("no_missing_effect", "noise")
+    assert told["noise"]["sensor_of_angle"]
+    assert "noise of the angle that speeds are taken from, of " in verdict_sentence(told)
 
 
 def test_the_true_model_has_no_error_in_windows_of_mean_speeds(truth: Model, speeds: Record) -> None:

@@ -57,6 +57,7 @@ def _noise(found: Diagnosis) -> dict[str, Any] | None:
     return {
         "sensor_rms": told(noise.sensor, unit, True),
         **({"sensor_by_log": by_log} if by_log else {}),
+        **({"sensor_of_angle": True} if noise.of_angle else {}),
         "torque_rms_pct": told(noise.torque_pct, "%", True),
         "torque_time_s": told(noise.torque_s, "s", torque),
     }

@@ -15,7 +15,7 @@ from fiohost.judging.settings import FLOOR
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run_loaded, start_state
 from fiohost.motor.state import LOAD_THETA, THETA
-from fiohost.noise.draw import draw_torque
+from fiohost.noise.draw import draw_sensor, draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import run_of, varied
 
@@ -82,7 +82,7 @@ class Replicas:
             record = replace(record, kind=MEAN_SPEED, quantum=average.quantum)
             truth = average.undone(truth, np.zeros(1, dtype=np.int64))
         if noise and noise.sensor.value > 0.0:
-            truth = truth + noise.sensor.value * rng.standard_normal(len(truth))
+            truth = truth + draw_sensor(len(truth), noise, rng)
         if record.kind == ANGLE:
             return quantise(record, truth + 0.5 * record.quantum)
         if record.kind == MEAN_SPEED:

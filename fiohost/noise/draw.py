@@ -22,6 +22,13 @@ def draw_torque(times_s: np.ndarray, noise: Noise, rng: np.random.Generator) -> 
     return torque_pct * torque
 
 
+def draw_sensor(samples: int, noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    """What a sensor's noise adds to readings (n), in their unit."""
+    if noise.of_angle:
+        return np.asarray(noise.sensor.value / np.sqrt(2.0) * np.diff(rng.standard_normal(samples + 1)))
+    return noise.sensor.value * rng.standard_normal(samples)
+
+
 @compiled
 def _walk(stays, kicks, torque):  # type: ignore[no-untyped-def]
     torque[0] = kicks[0]

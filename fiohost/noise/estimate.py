@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
+from fiohost.noise.covariance import MEAN_SPEED
 from fiohost.noise.likelihood import LEAST_VARIANCE, Group, deviances, merged
 from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
@@ -31,7 +32,8 @@ class Noise:
     """What is left of a true model: ``sensor`` rms in the output's unit beside its counts, ``torque_pct`` of duty rms
     with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
     ``samples`` are those that it is from. ``likely`` (k, 3) are draws of the three together, as data leave them open.
-    ``louder`` says by run how many times its sensor's noise is that of all; it is empty where they are alike.
+    ``louder`` says by run how many times its sensor's noise is that of all; it is empty where they are alike. A
+    sensor's noise ``of_angle`` is seen in mean speeds: what one of them lacks, the next one has.
     """
 
     sensor: Ranged
@@ -41,6 +43,7 @@ class Noise:
     samples: int = 0
     runs: RunToRun = NO_SCATTER
     louder: Mapping[str, float] = field(default_factory=dict)
+    of_angle: bool = False
     likely: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def drawn(self, u: float) -> Noise:
@@ -106,13 +109,17 @@ def estimate(
 ) -> Noise:
     """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
     found = _estimate(merged(groups), sensor, settings)
+    if found.sensor.low > 0.0 and any(g.motor.kind == MEAN_SPEED for g in groups):
+        turned = [replace(g, motor=replace(g.motor, of_angle=True)) for g in groups]
+        other = replace(_estimate(merged(turned), sensor, settings), of_angle=True)
+        groups, found = (turned, other) if other.deviance < found.deviance else (groups, found)
     # Beside counts that err more, what differs between runs is what these do that is no noise.
     of_counts = max((g.motor.count_rms for g in groups), default=0.0)
     louder = _louder(groups, found, settings) if sensor is None and found.sensor.low > of_counts else {}
     if not louder:
         return found
     own = merged([replace(g, louder=louder[g.run]) for g in groups])
-    return replace(_estimate(own, None, settings), louder=louder)
+    return replace(_estimate(own, None, settings), louder=louder, of_angle=found.of_angle)
 
 
 def _louder(groups: Sequence[Group], noise: Noise, settings: NoiseSettings) -> dict[str, float]:

@@ -25,7 +25,8 @@ LEAST_VARIANCE = 1e-12
 @dataclass(frozen=True)
 class Motor:
     """The fitted motor as a torque meets it, and the sensor: ``gain`` in the output's unit per percent (of an angle:
-    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples.
+    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples. Of a mean
+    speed the sensor's noise may be ``of_angle``: what one reading lacks, the next one has.
     """
 
     gain: float
@@ -33,6 +34,7 @@ class Motor:
     kind: int
     quantum: float
     step_s: float
+    of_angle: bool = False
 
     @property
     def count_rms(self) -> float:
@@ -129,24 +131,21 @@ def _rounded(tau_s: float, settings: NoiseSettings) -> float:
     return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
 
 
-def _sensed_variances(
-    n: int, tau_s: float, step_s: float, time_s: float, quantum: float, sensors: np.ndarray, least: float
-) -> np.ndarray:
+def _sensed_variances(n: int, motor: Motor, time_s: float, sensors: np.ndarray, least: float) -> np.ndarray:
     """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque, in
-    directions of ``_counted_part``.
+    directions of ``_counted_part``. That of an angle is in them as counts are: they err by a sixth of their square.
     """
-    spread, _ = _counted_part(n, tau_s, step_s, time_s)
-    own = spread * quantum**2 + sensors[:, None] ** 2
+    spread, _ = _counted_part(n, motor.tau_s, motor.step_s, time_s)
+    noise = sensors[:, None] ** 2
+    own = spread * motor.quantum**2 + (6.0 * noise * spread if motor.of_angle else noise)
     return np.asarray(own + 1e-12 * own.max(axis=1, keepdims=True) + least)
 
 
 @lru_cache(maxsize=1024)
 def _sensed_part(
     n: int,
-    tau_s: float,
-    step_s: float,
+    motor: Motor,
     time_s: float,
-    quantum: float,
     sensors: tuple[float, ...],
     least: float,
     most: float,
@@ -158,9 +157,9 @@ def _sensed_part(
     Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
     directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
     """
-    _, torque = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
-    _, apart = _counted_part(n, tau_s, step_s, time_s)
-    own = _sensed_variances(n, tau_s, step_s, time_s, quantum, np.array(sensors), least)
+    _, torque = _torque_part(n, motor.tau_s, covariance.MEAN_SPEED, motor.step_s, time_s)
+    _, apart = _counted_part(n, motor.tau_s, motor.step_s, time_s)
+    own = _sensed_variances(n, motor, time_s, np.array(sensors), least)
     shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
     seen = np.flatnonzero(shows > LEAST_DIRECTION)
     acts = apart[seen].T * np.sqrt(torque[seen])
@@ -186,7 +185,7 @@ def group_deviances(
     # A torque that would leave far more than there is need not be judged well.
     enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
     most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
-    shape = n, tau_s, motor.step_s, time_s, motor.quantum
+    shape = n, replace(motor, gain=1.0, tau_s=tau_s), time_s
     own = _sensed_variances(*shape, sensors, least)
     acts, sizes, vectors = _sensed_part(*shape, tuple(sensors.tolist()), least, most)
     left = apart.T @ left

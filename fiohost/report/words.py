@@ -174,7 +174,8 @@ def _noise(diagnosis: Mapping[str, Any]) -> str:
             f"{number(told['sd_pct'], 2)} %" if told.get("sd_pct") else with_unit(told["sd"]["value"], "% of duty", 2)
         )
         parts.append(f"{RUN_WORDS.get(key, effect_words(key.partition('.')[0]))} that scatters by {size} between runs")
-    for key, what in (("sensor_rms", "sensor noise"), ("torque_rms_pct", "a random torque")):
+    sensor = "noise of the angle that speeds are taken from," if noise.get("sensor_of_angle") else "sensor noise"
+    for key, what in (("sensor_rms", sensor), ("torque_rms_pct", "a random torque")):
         told = noise[key]
         if told["ci95"][0] > 0.0:
             unit = "% of duty" if key == "torque_rms_pct" else told["unit"]

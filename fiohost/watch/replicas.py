@@ -11,7 +11,7 @@ from fiohost.estimation.record import ANGLE, Record
 from fiohost.judging.metrics import quantise
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start, run, run_loaded, start_state
-from fiohost.noise.draw import draw_torque
+from fiohost.noise.draw import draw_sensor, draw_torque
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import varied
 
@@ -48,7 +48,7 @@ def drifting_run(
         part = replace(record.excitation, times_s=times[a : b + 1])
         y[a : b + 1] = read(replace(record, excitation=part), flat, states)
     if noise is not None and noise.sensor.value > 0.0:
-        y = y + noise.sensor.value * rng.standard_normal(len(y))
+        y = y + draw_sensor(len(y), noise, rng)
     if record.quantum > 0.0:
         y = quantise(record, y + (rng.uniform(0.0, 1.0) * record.quantum if record.kind == ANGLE else 0.0))
     return y
