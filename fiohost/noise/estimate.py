@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
-from fiohost.noise.covariance import MEAN_SPEED
+from fiohost.noise.covariance import ANGLE
 from fiohost.noise.likelihood import LEAST_VARIANCE, Group, deviances, merged
 from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
@@ -33,7 +33,7 @@ class Noise:
     with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
     ``samples`` are those that it is from. ``likely`` (k, 3) are draws of the three together, as data leave them open.
     ``louder`` says by run how many times its sensor's noise is that of all; it is empty where they are alike. A
-    sensor's noise ``of_angle`` is seen in mean speeds: what one of them lacks, the next one has.
+    sensor's noise ``of_angle`` is seen in speeds: what one of them lacks, the next one has.
     """
 
     sensor: Ranged
@@ -109,7 +109,7 @@ def estimate(
 ) -> Noise:
     """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
     found = _estimate(merged(groups), sensor, settings)
-    if found.sensor.low > 0.0 and any(g.motor.kind == MEAN_SPEED for g in groups):
+    if found.sensor.low > 0.0 and any(g.motor.kind != ANGLE for g in groups):
         turned = [replace(g, motor=replace(g.motor, of_angle=True)) for g in groups]
         other = replace(_estimate(merged(turned), sensor, settings), of_angle=True)
         groups, found = (turned, other) if other.deviance < found.deviance else (groups, found)

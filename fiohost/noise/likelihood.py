@@ -20,12 +20,14 @@ from fiohost.noise.settings import SETTINGS, NoiseSettings
 LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
+# Nor a noisy angle to less than so many times that: below, what is left and what a torque takes of it cancel.
+OF_ANGLE = 1e6
 
 
 @dataclass(frozen=True)
 class Motor:
     """The fitted motor as a torque meets it, and the sensor: ``gain`` in the output's unit per percent (of an angle:
-    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples. Of a mean
+    per second), lag, kind of output, ``quantum``, 0 where there are no counts, and the time between samples. Of a
     speed the sensor's noise may be ``of_angle``: what one reading lacks, the next one has.
     """
 
@@ -35,6 +37,11 @@ class Motor:
     quantum: float
     step_s: float
     of_angle: bool = False
+
+    @property
+    def by_differences(self) -> bool:
+        """Whether what readings err by is that of two angles."""
+        return self.of_angle or self.kind == covariance.MEAN_SPEED
 
     @property
     def count_rms(self) -> float:
@@ -117,11 +124,11 @@ def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) 
 
 
 @lru_cache(maxsize=1024)
-def _counted_part(n: int, tau_s: float, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of pieces of n mean speeds: variances (m) that counts of a unit quantum have along directions (m, m) in which
-    they are apart from each other, in the basis of ``_torque_part``.
+def _counted_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of pieces of n speeds: variances (m) that counts of a unit quantum have, as a mean speed has them, along
+    directions (m, m) in which they are apart from each other, in the basis of ``_torque_part``.
     """
-    basis, _ = _torque_part(n, tau_s, covariance.MEAN_SPEED, step_s, time_s)
+    basis, _ = _torque_part(n, tau_s, kind, step_s, time_s)
     values, vectors = np.linalg.eigh(basis.T @ covariance.counts(n, 1.0, covariance.MEAN_SPEED) @ basis)
     return np.maximum(values, 0.0), vectors
 
@@ -132,12 +139,13 @@ def _rounded(tau_s: float, settings: NoiseSettings) -> float:
 
 
 def _sensed_variances(n: int, motor: Motor, time_s: float, sensors: np.ndarray, least: float) -> np.ndarray:
-    """Of pieces of n mean speeds, for each of some sensors' noise: variances (sensors, m) without a torque, in
-    directions of ``_counted_part``. That of an angle is in them as counts are: they err by a sixth of their square.
+    """Of pieces of n speeds, for each of some sensors' noise: variances (sensors, m) without a torque, in directions of
+    ``_counted_part``. That of an angle is in them as counts are: they err by a sixth of their square.
     """
-    spread, _ = _counted_part(n, motor.tau_s, motor.step_s, time_s)
-    noise = sensors[:, None] ** 2
-    own = spread * motor.quantum**2 + (6.0 * noise * spread if motor.of_angle else noise)
+    spread, _ = _counted_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
+    noise, count = sensors[:, None] ** 2, motor.quantum**2
+    own = spread * count if motor.kind == covariance.MEAN_SPEED else np.full(len(spread), count / 12.0)
+    own = own + (6.0 * noise * spread if motor.of_angle else noise)
     return np.asarray(own + 1e-12 * own.max(axis=1, keepdims=True) + least)
 
 
@@ -150,15 +158,15 @@ def _sensed_part(
     least: float,
     most: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pieces of n mean speeds: what a torque of 1 % and a motor of unit gain does (m, k) in directions of
+    """Of pieces of n speeds: what a torque of 1 % and a motor of unit gain does (m, k) in directions of
     ``_counted_part``; and for each of some sensors' noise how many times the variance without a torque that is
     (sensors, k), along vectors (sensors, k, k).
 
     Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
     directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
     """
-    _, torque = _torque_part(n, motor.tau_s, covariance.MEAN_SPEED, motor.step_s, time_s)
-    _, apart = _counted_part(n, motor.tau_s, motor.step_s, time_s)
+    _, torque = _torque_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
+    _, apart = _counted_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
     own = _sensed_variances(n, motor, time_s, np.array(sensors), least)
     shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
     seen = np.flatnonzero(shows > LEAST_DIRECTION)
@@ -177,11 +185,12 @@ def group_deviances(
     tau_s = _rounded(motor.tau_s, settings)
     basis, torque = _torque_part(n, tau_s, motor.kind, motor.step_s, time_s)
     left, power = basis.T @ group.residuals, (torques * motor.gain) ** 2
-    if motor.kind != covariance.MEAN_SPEED:
+    if not motor.by_differences:
         own = sensors**2 + motor.quantum**2 / 12.0 + least
         variance = own[:, None, None] + power[None, :, None] * torque
         return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
-    _, apart = _counted_part(n, tau_s, motor.step_s, time_s)
+    _, apart = _counted_part(n, tau_s, motor.kind, motor.step_s, time_s)
+    least *= OF_ANGLE if motor.of_angle else 1.0
     # A torque that would leave far more than there is need not be judged well.
     enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
     most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))

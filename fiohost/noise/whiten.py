@@ -45,20 +45,21 @@ class Whitener:
         within = np.arange(int(lengths.sum())) - np.repeat(places, lengths)
         rows = np.repeat(firsts[long].astype(np.int64), lengths) + within
         self._at = np.repeat((np.cumsum(all_lengths) - all_lengths)[long], lengths) + within
-        n, states = len(rows), COUNTED if motor.kind == MEAN_SPEED else STATES
+        n, states = len(rows), COUNTED if motor.kind == MEAN_SPEED or noise.of_angle else STATES
         begins = np.zeros(n, dtype=bool)
         begins[places] = True
         self._weights, self._links = weights[rows], np.zeros((n, LINKS))
         torque, count, sensor = noise.torque_pct.value**2, motor.quantum**2 / 12.0, noise.sensor.value**2
-        if noise.of_angle:  # as counts are, half of it from either end
-            count, sensor = count + 0.5 * sensor, 0.0
+        own_count = 0.0 if motor.kind == MEAN_SPEED else count
+        if noise.of_angle:  # as counts of a mean speed, half of it from either end
+            count, sensor = count - own_count + 0.5 * sensor, 0.0
         at_start = min(noise.torque_pct.value, SETTINGS.most_at_start_pct) ** 2
         follow(
             times_s, moving.lag_s, moving.keeps, rows, begins, motor.gain, motor.tau_s, motor.kind,
             noise.torque_s.value, self._links,
         )  # fmt: skip
         own = np.full(n, sensor)
-        own += 0.0 if motor.kind == MEAN_SPEED else count / self._weights**2
+        own += own_count / self._weights**2
         self._gains, self._scales, sure = np.zeros((n, states)), np.zeros(n), np.ones(n)
         determinant = filters(
             self._weights, begins, moving.stands[rows], self._links, own, count, torque, at_start,
