@@ -6,17 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import measure, multisine, suite, truth_model
+from bench_data import measure, multisine, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
+from fiohost.discover.logs.whitened import drawing, movements, noise_of, plain, with_noise
 from fiohost.discover.result import to_json
+from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
-from fiohost.estimation.record import MEAN_SPEED, Record, make_record
+from fiohost.estimation.record import MEAN_SPEED, Record, make_record, thinned
 from fiohost.judging.followed import dependences
 from fiohost.judging.metrics import judge
 from fiohost.judging.replica import Replicas
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.noise.draw import draw_sensor
+from fiohost.noise.estimate import NONE, Ranged
 from fiohost.report.words import verdict_sentence
 
 TICK_S = 0.02
@@ -64,6 +68,31 @@ def test_speeds_from_an_angle_that_is_noisy_are_explained_to_that_noise() -> Non
     assert (told["verdict"], told["explained_to"]) == ("no_missing_effect", "noise")
     assert told["noise"]["sensor_of_angle"]
     assert "noise of the angle that speeds are taken from, of " in verdict_sentence(told)
+
+
+@pytest.mark.parametrize("of_angle", [False, True])
+def test_bootstrap_samples_of_fast_speeds_err_as_each_of_these_does(of_angle: bool) -> None:
+    """Windows take the means of five readings of a millisecond: their noise was taken for that of each, and every
+    bench of 1 kHz with noise stayed unexplained.
+    """
+    rng, truth, step_s = np.random.default_rng(7), truth_model(), 0.001
+    times, duty_pct = np.arange(8000) * step_s, np.repeat(steps(8.0, rng), 5)
+    fast = make_record("fast", times, duty_pct, np.ones(8000), kind=MEAN_SPEED, unit="deg/s", at_rest=True)
+    exact = free_output(fast, Flat.of(truth), Start(0.0, 0.0))
+    sensor = replace(NONE, sensor=Ranged(60.0, 60.0, 60.0), of_angle=of_angle)
+    fast = replace(fast, y=exact + draw_sensor(8000, sensor, rng), weights=np.ones(8000))
+    few = plain([thinned(fast, 0.005)])
+    found = fit(truth, few, windows=True)
+    noise = noise_of(found.model, found.starts, few)
+    assert noise.of_angle is of_angle
+    (drawn,) = drawing([fast], noise)
+    assert drawn.disturbance is not None
+    assert drawn.disturbance.noise.sensor.value == pytest.approx(60.0, rel=0.1)
+    errors = Replicas(drawn, truth, Start(0.0, 0.0)).draw(rng) - exact
+    assert np.std(errors) == pytest.approx(60.0, rel=0.1)
+    own = with_noise(few, truth, noise, movements(few, truth, found.starts))[0].disturbance
+    assert own is not None
+    assert own.noise.sensor.value == pytest.approx(noise.sensor.value)
 
 
 def test_the_true_model_has_no_error_in_windows_of_mean_speeds(truth: Model, speeds: Record) -> None:

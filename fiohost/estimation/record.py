@@ -180,12 +180,16 @@ def thinned(record: Record, step_s: float) -> Record:
         y = np.concatenate((y[:1], np.diff(sums[rows]) / every))
     times, segments = record.excitation.times_s[rows], record.segments[rows]
     quantum = record.quantum / (every if record.kind == MEAN_SPEED else 1)
+    noise_rms = record.noise_rms
+    if noise_rms is not None and record.kind == MEAN_SPEED:
+        noise_rms /= float(np.sqrt(every))
     sample_time_s = record.sample_time_s * every
     return replace(
         record,
         excitation=replace(record.excitation, times_s=times),
         y=y,
         quantum=quantum,
+        noise_rms=noise_rms,
         average=record.average.of_every(every) if record.average else None,
         sample_time_s=sample_time_s,
         segments=segments,

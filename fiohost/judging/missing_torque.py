@@ -94,7 +94,8 @@ def missing_torque(record: Record, model: Model, residual: np.ndarray, noise: No
     The band of the smoother is that of a torque as random as the ``noise`` of the records, else one that hides nothing
     above the counts. Speeds are summed up to angles.
     """
-    sensor, walk_pct = (noise.sensor.value, noise.walk_pct) if noise else (0.0, TORQUE.walk_pct)
+    here = noise.at(record.sample_time_s) if noise else None
+    sensor, walk_pct = (here.sensor.value, here.walk_pct) if here else (0.0, TORQUE.walk_pct)
     rounding = max(record.quantum, 1e-6 * float(np.ptp(record.y)), 1e-12) / np.sqrt(12.0)
     if record.average:
         rounding = max(rounding, record.average.rms)

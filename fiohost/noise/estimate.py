@@ -33,7 +33,8 @@ class Noise:
     with the correlation time ``torque_s``, and what differs between ``runs``. ``deviance`` is -2 log likelihood;
     ``samples`` are those that it is from. ``likely`` (k, 3) are draws of the three together, as data leave them open.
     ``louder`` says by run how many times its sensor's noise is that of all; it is empty where they are alike. A
-    sensor's noise ``of_angle`` is seen in speeds: what one of them lacks, the next one has.
+    sensor's noise ``of_angle`` is seen in speeds: what one of them lacks, the next one has. That of mean speeds is of
+    speeds ``step_s`` apart; 0 where it is the same however far apart readings are.
     """
 
     sensor: Ranged
@@ -44,6 +45,7 @@ class Noise:
     runs: RunToRun = NO_SCATTER
     louder: Mapping[str, float] = field(default_factory=dict)
     of_angle: bool = False
+    step_s: float = 0.0
     likely: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     def drawn(self, u: float) -> Noise:
@@ -62,6 +64,15 @@ class Noise:
             own = Ranged(times * sensor.value, times * sensor.low, times * sensor.high)
             return replace(self, sensor=own, likely=self._as_loud([times]), louder={})
         return replace(self, likely=self._as_loud(list(self.louder.values())), louder={})
+
+    def at(self, step_s: float) -> Noise:
+        """The noise of readings so far apart: the mean of several speeds errs less than each."""
+        if self.step_s in (0.0, step_s):
+            return self
+        longer = self.step_s / step_s
+        times = longer if self.of_angle else longer**0.5
+        own = Ranged(times * self.sensor.value, times * self.sensor.low, times * self.sensor.high)
+        return replace(self, sensor=own, likely=self._as_loud([times]), step_s=step_s)
 
     def _as_loud(self, times: Sequence[float]) -> np.ndarray | None:
         """The likely draws with the sensor so many times as loud, one after the other."""

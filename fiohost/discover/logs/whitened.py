@@ -114,7 +114,8 @@ def noise_of(
         driven = np.where(coasting(record), 0.0, speed)
         found += pieces(residual, driven, path.lag_s, record.windows, motor, run_of(record.name))
     declared = {r.noise_rms for r in records}
-    return estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
+    noise = estimate(found, sensor=declared.pop() if len(declared) == 1 else None)
+    return replace(noise, step_s=records[0].sample_time_s) if records[0].kind == MEAN_SPEED else noise
 
 
 def run_columns(record: Record, model: Model, start: Start) -> np.ndarray:
@@ -172,9 +173,7 @@ def weighed(records: Sequence[Record], noise: Noise, columns: Sequence[np.ndarra
     for record, by in zip(records, columns, strict=True):
         assert record.disturbance is not None
         own = Own.of(noise.runs.by_run[run_of(record.name)], by, noise.runs.sd)
-        found.append(
-            replace(record, disturbance=replace(record.disturbance, noise=noise.of(run_of(record.name)), own=own))
-        )
+        found.append(replace(record, disturbance=replace(record.disturbance, noise=noise_in(record, noise), own=own)))
     return tuple(found)
 
 
@@ -182,7 +181,7 @@ def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Se
     """The records with their windows whitened by a noise; what differs between runs is left as it is."""
     found = []
     for record, moves in zip(records, moving, strict=True):
-        times, here = record.excitation.times_s, noise.of(run_of(record.name))
+        times, here = record.excitation.times_s, noise_in(record, noise)
         whitener = Whitener(
             times, moves, record.weights, *record.looked_at, motor_of(record, model), here, record.average
         )
@@ -192,7 +191,12 @@ def with_noise(records: Sequence[Record], model: Model, noise: Noise, moving: Se
 
 def drawing(records: Sequence[Record], noise: Noise) -> list[Record]:
     """The records with their bootstrap samples drawn with a noise, their windows as they are."""
-    return [replace(r, disturbance=Disturbance(noise.of(run_of(r.name)))) for r in records]
+    return [replace(r, disturbance=Disturbance(noise_in(r, noise))) for r in records]
+
+
+def noise_in(record: Record, noise: Noise) -> Noise:
+    """A noise as one record has it, each of its readings."""
+    return noise.of(run_of(record.name)).at(record.sample_time_s)
 
 
 def plain(records: Sequence[Record]) -> list[Record]:
