@@ -72,8 +72,8 @@ def test_speeds_from_an_angle_that_is_noisy_are_explained_to_that_noise() -> Non
 
 @pytest.mark.parametrize("of_angle", [False, True])
 def test_bootstrap_samples_of_fast_speeds_err_as_each_of_these_does(of_angle: bool) -> None:
-    """Windows take the means of five readings of a millisecond: their noise was taken for that of each, and every
-    bench of 1 kHz with noise stayed unexplained.
+    """Windows take the means of five readings of a millisecond: their noise was taken for that of each, and
+    benches of 1 kHz with noise stayed unexplained.
     """
     rng, truth, step_s = np.random.default_rng(7), truth_model(), 0.001
     times, duty_pct = np.arange(8000) * step_s, np.repeat(steps(8.0, rng), 5)

@@ -47,7 +47,8 @@ class Logs(Evidence[Stage]):
         """``anew`` says that candidates may begin from values of their own where none comes close."""
         super().__init__(rng, settings)
         self.train, self.anew = train, anew
-        self.records, self.groups = folds(train)
+        pieces, self.groups = folds(train)
+        self.records = self.cut(pieces)
         # Every structure is judged by the same draws: no luck between two, nor by the way that a search took.
         self._judging = int(self.rng.integers(2**32))
         self._own: WeakKeyDictionary[State, np.ndarray] = WeakKeyDictionary()
@@ -55,6 +56,10 @@ class Logs(Evidence[Stage]):
         self._off: WeakKeyDictionary[State, State] = WeakKeyDictionary()
         self._finished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
         self._polished: WeakKeyDictionary[State, State] = WeakKeyDictionary()
+
+    def cut(self, records: list[Record]) -> list[Record]:
+        """The records as they are fitted."""
+        return records
 
     @property
     def few(self) -> bool:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-
-import numpy as np
+from functools import cached_property
 
 from fiohost.discover.evidence import State, deviance_of
 from fiohost.discover.logs.evidence import Logs
 from fiohost.discover.logs.screen import Screen
 from fiohost.discover.logs.whitened import plain
-from fiohost.discover.settings import SETTINGS, SearchSettings
+from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.record import Record, thinned
 
@@ -26,17 +25,14 @@ class PlainWindows(Logs):
 
     exact = False
 
-    def __init__(
-        self,
-        train: Sequence[Record],
-        rng: np.random.Generator | None = None,
-        anew: bool = False,
-        settings: SearchSettings = SETTINGS,
-    ) -> None:
-        super().__init__(train, rng, anew, settings)
-        every = -(-sum(len(r.windows) - 1 for r in self.records) // self.settings.most_windows)
-        self.records = [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in self.records]
-        self.plain = plain(self.records)
+    def cut(self, records: list[Record]) -> list[Record]:
+        every = -(-sum(len(r.windows) - 1 for r in records) // self.settings.most_windows)
+        return [replace(thinned(r, SETTINGS.window_step_s), every=every) for r in records]
+
+    @cached_property
+    def plain(self) -> list[Record]:
+        """They as they are, whatever noise was found."""
+        return plain(self.records)
 
     @property
     def margin(self) -> float:
