@@ -189,6 +189,20 @@ def test_a_few_values_of_a_list_are_no_counts() -> None:
     assert found_quantum(rng.choice(rng.uniform(0.0, 100.0, 12), 4000)) == 0.0
 
 
+@pytest.mark.parametrize("kind", [covariance.SPEED, covariance.MEAN_SPEED])
+def test_speeds_without_counts_have_their_noise_and_no_torque(kind: int) -> None:
+    """The likelihood of mean speeds that show no counts lost its digits: all of their noise was told as a torque."""
+    rng = np.random.default_rng(14)
+    motor = Motor(14.1, 0.0966, kind, 0.0, 4.0 * STEP_S)
+    window = round(1.0 / motor.step_s)
+    left, speed = rng.standard_normal(window * WINDOWS), np.full(window * WINDOWS, 300.0)
+    edges = np.arange(0, len(left) + 1, window)
+    left[edges[:-1]] = 0.0  # the first of a window is taken as it was measured
+    found = estimate(pieces(left, speed, np.full(len(left), motor.tau_s), edges, motor))
+    assert found.sensor.low <= 1.0 <= found.sensor.high
+    assert not found.torque_known
+
+
 @pytest.mark.parametrize("kind", [covariance.ANGLE, covariance.SPEED, covariance.MEAN_SPEED])
 def test_a_sensor_with_neither_counts_nor_noise_has_a_torque_to_be_found(kind: int) -> None:
     rng = np.random.default_rng(8)

@@ -20,8 +20,9 @@ from fiohost.noise.settings import SETTINGS, NoiseSettings
 LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
-# Nor a noisy angle to less than so many times that: below, what is left and what a torque takes of it cancel.
-OF_ANGLE = 1e6
+# Nor readings of which each may say what the next one lacks to less than so many times that: below, what is left and what
+# a torque takes of it cancel.
+BY_DIFFERENCES = 1e6
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,7 @@ def group_deviances(
         variance = own[:, None, None] + power[None, :, None] * torque
         return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
     _, apart = _counted_part(n, tau_s, motor.kind, motor.step_s, time_s)
-    least *= OF_ANGLE if motor.of_angle else 1.0
+    least *= BY_DIFFERENCES if motor.of_angle or motor.quantum == 0.0 else 1.0
     # A torque that would leave far more than there is need not be judged well.
     enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
     most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
