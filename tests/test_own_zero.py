@@ -82,10 +82,11 @@ def test_without_such_an_effect_nothing_is_claimed(tmp_path: Path, seed: int) ->
     assert told["steps"] == []
 
 
-def test_a_log_says_whether_its_zero_is_its_own_and_only_an_angle_has_one(tmp_path: Path) -> None:
+def test_a_log_says_whether_its_zero_is_its_own_and_one_of_speeds_never_knows(tmp_path: Path) -> None:
     (log, *_), _ = logs_with_zeros_of_their_own(tmp_path, {}, 1)
     assert record_from_log(log).own_zero
     common = Log.from_columns(log.columns, {**log.metadata, "pos_reset": "false"})
     assert not record_from_log(common).own_zero
-    columns = {"time_s": log.time_s, "duty_pct": log.duty_pct, "speed_deg_s": 0.0 * log.time_s}
-    assert not record_from_log(Log.from_columns(columns, {"pos_reset": "true"})).own_zero
+    for name, knows in (("speed_deg_s", False), ("speed_m_s", True)):  # a linear axis has no turn
+        columns = {"time_s": log.time_s, "duty_pct": log.duty_pct, name: 0.0 * log.time_s}
+        assert record_from_log(Log.from_columns(columns, {"pos_reset": "false"})).own_zero is not knows

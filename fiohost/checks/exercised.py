@@ -30,7 +30,7 @@ class Exercised:
     """What a set of logs went through; speeds in the output's unit per second, shares of no unit.
 
     ``useful_hz`` is the highest frequency at which the movement stands above the counts, None where it cannot be told.
-    ``turns`` are whole revolutions covered between the ends of travel, None where no angle is measured. Logs that are
+    ``turns`` are whole revolutions covered between the ends of travel, None where no angle is known. Logs that are
     ``overlapping`` on the bench's own time do not say when they were begun: what one clock covers, ``clock_s``, is then
     the longest of them.
     """
@@ -172,7 +172,7 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
     held = np.abs(duty[np.abs(duty) > 0])
     bins, sizes = np.unique(np.floor(held / LEVEL_PCT), return_counts=True)
     all_angle = all(r.kind == ANGLE for r in records)
-    turning = all_angle and all(r.rotary for r in records)
+    turning = all(r.rotary and (r.kind == ANGLE or not r.broken) for r in records)
     reference = [s.closed_loop for s in said]
     return Exercised(
         logs=len(records),
@@ -186,7 +186,7 @@ def exercise(records: Sequence[Record], said: Sequence[Said]) -> Exercised:
         standstill_s=float(weight[~moving].sum()),
         slow_s=float(weight[moving & (np.abs(speed) < SLOW_SHARE * top)].sum()),
         braking_s=float(weight[against].sum()),
-        turns=max(float(np.ptp(r.y)) for r in records) / 360.0 if turning else None,
+        turns=max(float(np.ptp(r.angles())) for r in records) / 360.0 if turning else None,
         useful_hz=_useful_hz(motions),
         levels=int(np.sum(sizes >= max(STANDS_SAMPLES, 0.005 * len(duty)))) if len(bins) else 0,
         distinct_duties=len(np.unique(np.abs(duty))),

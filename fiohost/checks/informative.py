@@ -65,9 +65,14 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: "one direction only: what differs by direction is taken for friction or gain",
     ),
     (
-        TURNING,
+        ("encoder_eccentricity", "shaft_angle_error"),
         lambda d: not d.angle,
-        lambda d: "no angle is measured: what belongs to a place on the turn cannot be assigned to it",
+        lambda d: "no angle is measured: what a sensor of it gets wrong does not show",
+    ),
+    (
+        TURNING,
+        lambda d: d.turns is None,
+        lambda d: "readings of the speed are missing: where on its turn the shaft went on is not known",
     ),
     (
         ("parameter_change",),

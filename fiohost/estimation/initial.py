@@ -37,9 +37,9 @@ ZERO_REACH, ZERO_NEAR, ZERO_CLOSE, ZERO_MORE = 45.0, 10.0, 0.2, 16
 def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
     """Angle and speed of the first samples, straight from the data."""
     if record.at_rest:
-        return (float(y[0]) if record.kind == ANGLE else 0.0), 0.0
+        return (float(y[0]) if record.kind == ANGLE else record.begun_deg), 0.0
     if record.kind != ANGLE:
-        return 0.0, float(np.median(y[:3]))
+        return record.begun_deg, float(np.median(y[:3]))
     times = record.excitation.times_s[:6]
     slope = float(np.polyfit(times, y[: len(times)], 1)[0])
     return float(y[0]), slope
@@ -89,19 +89,22 @@ def has_own_warmth(record: Record, flat: Flat) -> bool:
     return flat.warms and not (record.begins and flat.warms_by_time)
 
 
-def _look_windows(record: Record, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Windows spread over a record in which the shaft moves: where each begins and ends, and its speed there (k)."""
+def _look_windows(record: Record, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Windows spread over a record in which the shaft moves by its ``angles`` (n): where each begins and ends, and its
+    speed there (k).
+    """
     times, edges = record.excitation.times_s, record.windows
+    count = record.quantum * (1.0 if record.kind == ANGLE else record.sample_time_s)
     moving = [
         (int(a), int(b))
         for a, b in zip(edges[:-1], edges[1:], strict=True)
-        if float(np.ptp(y[a:b])) > ZERO_MOTION_COUNTS * record.quantum
+        if float(np.ptp(angles[a:b])) > ZERO_MOTION_COUNTS * count
     ]
     chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), ZERO_WINDOWS)).round().astype(int))
     speeds = []
     for a, b in (moving[i] for i in chosen):
         early = slice(a, min(a + max(5, (b - a) // 20), b))
-        speeds.append(float(np.polyfit(times[early] - times[a], y[early], 1)[0]))
+        speeds.append(float(np.polyfit(times[early] - times[a], angles[early], 1)[0]))
     firsts, ends = np.array([moving[i] for i in chosen], dtype=np.int64).reshape(-1, 2).T
     return firsts, ends, np.array(speeds)
 
@@ -115,7 +118,8 @@ def find_zero(
     model's would leave that one as it is. Then ``closely`` along the line: where the shaft sticks, slopes say little.
     """
     data = record.y if y is None else y
-    firsts, ends, speeds = _look_windows(record, data)
+    angles = record.angles(data)
+    firsts, ends, speeds = _look_windows(record, angles)
     if not len(firsts):
         return near or 0.0
     orders = flat.orders()
@@ -123,7 +127,7 @@ def find_zero(
 
     def cost(zero: float) -> float:
         seen = flat.from_zero(zero)
-        begins = [Start(float(data[a]), speed) for a, speed in zip(firsts, speeds, strict=True)]
+        begins = [Start(float(angles[a]), speed) for a, speed in zip(firsts, speeds, strict=True)]
         bases = np.array([start_state(begin, seen.p, seen.on) for begin in begins])
         residuals, _, _, _ = fitted_windows(record, seen, data, (firsts, ends), bases, True)
         return float(residuals @ residuals)

@@ -305,6 +305,8 @@ def _from_bases(
     record: Record, flat: Flat, bases: np.ndarray, y: np.ndarray | None, columns: np.ndarray | None = None
 ) -> tuple[np.ndarray, Begun]:
     data = record.y if y is None else y
+    if flat.bends and record.kind != ANGLE:  # where a free run would be by now is no longer where the shaft is
+        bases = moved(bases, record.angles(data)[record.looked_at[0]], bases[:, OMEGA])
     fitted = fitted_windows(record, flat, data, record.looked_at, bases, True, columns)
     if columns is None and len(behind := record.behind_gaps):
         _by_seen_speed(record, flat, data, bases, behind, fitted)

@@ -46,18 +46,19 @@ class Record:
     """One log as evidence.
 
     ``y`` (n) is the measured output in ``unit`` (of a linear axis mm or mm/s), of kind ``ANGLE``, ``SPEED`` (at the
-    instant) or ``MEAN_SPEED`` (over the interval before the sample). ``quantum`` is the sensor's step in that unit (0
-    where unknown). ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows
-    where on the bench's turn its angle is zero, ``wraps`` that its counter says no whole turns (``ahead_deg`` are
-    those that were added to what its log says), ``begins`` that the bench's own time does with it. ``pwm_hz`` is the
-    frequency of the bridge's PWM, 0 where unknown. ``weights`` (n) are by what whole runs weigh the readings' errors,
-    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at: what is fitted
-    to them is an array of their samples (k) alone. ``segments`` (n)
-    number the stretches within which all commands are known, -1 where one acts that is not; no window spans two.
-    ``doubtful`` are rows whose command was set aside, ``regular`` says that stamps were taken for those of a regular
-    clock, ``quantum_found`` that the quantum is from the readings; ``noise_rms`` is the sensor's where declared,
-    ``average`` that through which its logger smoothed counted speeds. With a ``disturbance`` windows are whitened, and
-    bootstrap samples are drawn with it.
+    instant) or ``MEAN_SPEED`` (over the interval before the sample); ``begun_deg`` is how far the shaft had turned
+    by then since a log of speeds began. ``quantum`` is the sensor's step in that unit (0 where unknown).
+    ``at_rest`` says that the shaft stands still at the first sample, ``own_zero`` that nobody knows where on the
+    bench's turn its angle is zero, ``wraps`` that its counter says no whole turns (``ahead_deg`` are those that
+    were added to what its log says), ``begins`` that the bench's own time does with it. ``pwm_hz`` is the frequency
+    of the bridge's PWM, 0 where unknown. ``weights`` (n) are by what whole runs weigh the readings' errors,
+    ``windows`` (m + 1) the edges of one-second windows, of which only ``every`` so many are looked at: what is
+    fitted to them is an array of their samples (k) alone. ``segments`` (n) number the stretches within which all
+    commands are known, -1 where one acts that is not; no window spans two. ``doubtful`` are rows whose command was
+    set aside, ``regular`` says that stamps were taken for those of a regular clock, ``quantum_found`` that the
+    quantum is from the readings; ``noise_rms`` is the sensor's where declared, ``average`` that through which its
+    logger smoothed counted speeds. With a ``disturbance`` windows are whitened, and bootstrap samples are drawn
+    with it.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Record:
     at_rest: bool
     rotary: bool
     own_zero: bool = False
+    begun_deg: float = 0.0
     wraps: bool = False
     ahead_deg: float = 0.0
     begins: bool = False
@@ -96,6 +98,17 @@ class Record:
     @property
     def seconds(self) -> float:
         return float(self.excitation.times_s[-1] - self.excitation.times_s[0])
+
+    def angles(self, y: np.ndarray | None = None) -> np.ndarray:
+        """Where the shaft was at each sample (n) as the readings, or ``y`` (n) in their place, have it: mean speeds add
+        up to how far it has turned since its log began, and so do speeds, about, by trapezoids.
+        """
+        y = self.y if y is None else y
+        if self.kind == ANGLE:
+            return y
+        steps_s = np.diff(self.excitation.times_s)
+        turns = steps_s * (y[1:] if self.kind == MEAN_SPEED else 0.5 * (y[1:] + y[:-1]))
+        return np.concatenate(([self.begun_deg], self.begun_deg + np.cumsum(turns)))
 
     @cached_property
     def smooth(self) -> np.ndarray:
@@ -344,7 +357,7 @@ def record_from_log(log: Log, name: str | None = None) -> Record:
         sample_time_s=step_s,
         command_delay_s=delay_s,
         rotary=output in ("angle_deg", "speed_deg_s"),
-        own_zero=log.pos_reset and output == "angle_deg",
+        own_zero=(log.pos_reset and output == "angle_deg") or output == "speed_deg_s",
         clock_s=log.bench_time_s,
         at_rest=None if log.begins_at_rest and (len(y) < 2 or y[0] != y[1]) else log.begins_at_rest,
         segments=known_segments(times, duty, mode, doubtful, step_s, delay_s),

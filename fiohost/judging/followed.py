@@ -86,10 +86,16 @@ class ForceCurve:
 
 
 def bench_angle(record: Record, judgement: Judgement) -> np.ndarray | None:
-    """The simulated angle (n) on the bench's turn, 0 to 360; None where the record's zero on it is not known."""
-    if not record.rotary or record.kind != ANGLE or (record.own_zero and judgement.start.zero is None):
+    """The simulated angle (n) on the bench's turn, 0 to 360, or what measured speeds add up to; None where the record's
+    zero on it is not known.
+    """
+    if not record.rotary or (record.own_zero and judgement.start.zero is None):
         return None
-    return np.asarray(np.mod(judgement.simulated + (judgement.start.zero or 0.0), 360.0))
+    return np.asarray(np.mod(_angles(record, judgement) + (judgement.start.zero or 0.0), 360.0))
+
+
+def _angles(record: Record, judgement: Judgement) -> np.ndarray:
+    return judgement.simulated if record.kind == ANGLE else record.angles()
 
 
 def _variables(record: Record, judgement: Judgement) -> dict[str, np.ndarray]:
@@ -99,9 +105,9 @@ def _variables(record: Record, judgement: Judgement) -> dict[str, np.ndarray]:
     duty = record.excitation.duties_pct[:-1]
     speed = np.gradient(simulated, times) if record.kind == ANGLE else simulated
     found = {"speed": speed, "speed_sign": np.sign(speed), "duty": duty, "time": times}
-    if record.rotary and record.kind == ANGLE:
+    if record.rotary:
         known = bench_angle(record, judgement)
-        found["angle"] = np.mod(simulated, 360.0) if known is None else known
+        found["angle"] = np.mod(_angles(record, judgement), 360.0) if known is None else known
     return found
 
 

@@ -20,8 +20,8 @@ from fiohost.noise.settings import SETTINGS, NoiseSettings
 LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
-# Nor readings of which each may say what the next one lacks to less than so many times that: below, what is left and what
-# a torque takes of it cancel.
+# Nor readings of which each may have what the next one lacks to less than so many times that: below, what is left and
+# what a torque takes of it cancel.
 BY_DIFFERENCES = 1e6
 
 

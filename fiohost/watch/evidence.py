@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fiohost.estimation.initial import initial_guess, initial_state
+from fiohost.estimation.initial import has_own_zero, initial_guess, initial_state
 from fiohost.estimation.predict import Flat, windowed
 from fiohost.estimation.record import Record, cut_windows
 from fiohost.estimation.tangent import Tangent
@@ -60,7 +60,7 @@ class Whitening:
 
 def begin_of(record: Record, flat: Flat) -> Start:
     """How a piece of a run begins; from its first readings alone where nothing more is asked for."""
-    if flat.gap or flat.warms or record.own_zero:
+    if flat.gap or flat.warms or has_own_zero(record, flat):
         return initial_state(record, flat)
     angle, speed = initial_guess(record, record.y)
     return Start(angle, speed)

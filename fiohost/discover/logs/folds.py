@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fiohost.errors import DataError
-from fiohost.estimation.record import SHORTEST, Record, make_record
+from fiohost.estimation.record import ANGLE, SHORTEST, Record, make_record
 from fiohost.estimation.repeats import repeats
 
 # Edges move by a quarter of a piece at most: so two pieces, and more of twice the shortest, are long enough.
@@ -57,6 +57,8 @@ def piece(record: Record, first: int, end: int, name: str) -> Record:
         noise_rms=record.noise_rms,
         average=record.average,
     )
+    if record.kind != ANGLE:
+        found = replace(found, begun_deg=float(record.angles()[a]))
     if a == 0:
         return replace(found, begins=record.begins)
     duties, modes = found.excitation.duties_pct.copy(), found.excitation.modes.copy()

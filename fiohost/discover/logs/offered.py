@@ -19,10 +19,11 @@ def candidates(model: Model, records: Sequence[Record], library: Sequence[str] |
     cover a ``span``.
     """
     names = effects() if library is None else library
-    rotary = all(r.rotary and r.kind == ANGLE for r in records)
+    rotary, angles = all(r.rotary for r in records), all(r.kind == ANGLE for r in records)
     chosen = [effects()[n] for n in names if n != "linear" and n not in model.effects]
     trying = [e for e in chosen if e.tried(span) and (e.measure_speed is None or any(r.kind != ANGLE for r in records))]
-    return [e for e in trying if rotary or not e.angle_bound]
+    # Speeds add up to where on its turn a shaft is, not to what an angle's sensor says there.
+    return [e for e in trying if not e.angle_bound or (rotary and (angles or e.measure is None))]
 
 
 def span_of(records: Sequence[Record]) -> Span:

@@ -59,7 +59,7 @@ def _curve(model: Model, name: str) -> dict[str, object]:
 
 def with_curves(model: Model, train: Sequence[Record]) -> Unnamed | None:
     """The model with what left-out records ask for of the curves over position; None where they ask for none."""
-    if not all(r.kind == ANGLE for r in train):
+    if not all(r.kind == ANGLE or r.rotary for r in train):
         return None
     windows = WeighedWindows(train)
     records = windows.plain
