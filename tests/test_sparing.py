@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.evidence import State
+from fiohost.discover.logs import non_smooth
 from fiohost.discover.logs.evidence import Logs
 from fiohost.discover.logs.job import Job
 from fiohost.discover.logs.optimise import fits_anew
@@ -17,7 +19,7 @@ from fiohost.discover.logs.plain_windows import PlainWindows
 from fiohost.discover.logs.rough import rough_fits
 from fiohost.discover.logs.whole_runs import WholeRuns
 from fiohost.discover.settings import SETTINGS
-from fiohost.estimation.fit import fit, fit_from_scratch
+from fiohost.estimation.fit import Fit, fit, fit_from_scratch
 from fiohost.estimation.record import Record
 from fiohost.judging.settings import FLOOR
 from fiohost.judging.stage import Stage
@@ -88,6 +90,28 @@ def test_the_best_scores_are_enough_where_more_would_change_nothing() -> None:
     assert rough(runs, names, full) == enough
     assert rough(windows, names) == enough
     assert rough(windows, names[1:]) == len(names) - 1
+
+
+def test_far_from_the_floor_a_threshold_is_searched_coarsely_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fine search took half a minute of a candidate beside which another effect was missing, and led nowhere."""
+    truth = truth_model(
+        ("coulomb_friction", "static_friction", "quadratic_drag"),
+        {"static_friction.extra_pct": 3.0, "quadratic_drag.pct_at_1000_deg_s": 6.0},
+    )
+    asked: dict[str, list[float]] = {}
+
+    def searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[tuple[float, float, int]]) -> Fit:
+        asked.setdefault(key, []).extend(highest for _, highest, _ in scales)
+        return found
+
+    monkeypatch.setattr(non_smooth, "_searched", searched)
+    for missing in (False, True):
+        runs = WholeRuns(suite(truth, 5))
+        state = runs.declared(DECLARED if missing else DECLARED.with_effect("quadratic_drag"), False)
+        runs.beside(state).refitted([effect("static_friction")], lambda text: None)
+        looks = asked.pop("static_friction.extra_pct")
+        assert SETTINGS.optimiser.coarse[1] in looks
+        assert (SETTINGS.optimiser.fine[1] in looks) is not missing
 
 
 def test_long_runs_are_tried_at_their_beginnings_first() -> None:

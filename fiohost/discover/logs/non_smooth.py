@@ -74,7 +74,7 @@ def _chosen_otherwise(found: Fit, effect: Effect, parameter: Parameter, choice: 
         name, neutral = f"{effect.name}.{size.name}", float(size.neutral or 0.0)
         grown = [neutral + k * (found.model.number(name) - neutral) for k in OPTIMISER.choice_sizes]
         models += [changed.with_values({name: v}) for v in grown if size.lower <= v <= size.upper]
-    costs = [cost_of(found, m, records, lash=True) for m in models]
+    costs = [cost_of(found, m, records, lash=True, nearly=True) for m in models]
     if not models:
         return found
     return again(found, models[int(np.argmin(costs))], records, 12, 1e-4)
@@ -110,7 +110,7 @@ def _searched(found: Fit, key: str, records: Sequence[Record], scales: Sequence[
         centre = found.model.number(key)
         points = [centre * f if parameter.neutral == 0.0 else centre + OPTIMISER.moment_s * np.log(f) for f in factors]
         models = [found.model.with_values({key: float(np.clip(x, parameter.lower, parameter.upper))}) for x in points]
-        costs = [cost_of(found, m, records) for m in models]
+        costs = [cost_of(found, m, records, nearly=True) for m in models]
         near = [models[i] for i in np.argsort(costs)[:2]]
         fits = [again(found, m, records, 12, OPTIMISER.near_enough if found.windows else 1e-5) for m in near]
         found = min((found, *fits), key=lambda f: f.cost)

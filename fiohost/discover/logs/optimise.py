@@ -79,12 +79,12 @@ def as_it_is(found: Fit, model: Model, records: Sequence[Record]) -> Fit:
     return again(found, model, records, 1, tolerance=ENDLESS)
 
 
-def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = False) -> float:
+def cost_of(found: Fit, model: Model, records: Sequence[Record], lash: bool = False, nearly: bool = False) -> float:
     """Squared error of a model as it is, in what another was fitted to; the motor where that has it in its gap unless
-    ``lash`` is to be taken up anew.
+    ``lash`` is to be taken up anew. ``nearly`` is enough to say which of several leaves least.
     """
     windows, starts = found.windows, found.starts
-    tolerance = OPTIMISER.near_enough if windows else 1e-7
+    tolerance = OPTIMISER.near_enough if windows or nearly else 1e-7
     return unchanged(model, records, starts=starts, windows=windows, lash=lash, zeros=False, tolerance=tolerance).cost
 
 
