@@ -81,8 +81,8 @@ class Finals:
         def thorough(i: int) -> Fit:
             if i in there or i in in_noise or fits[i].cost > ahead[id(jobs[i].records)]:
                 return fits[i]
-            # Beside one at the floor, others are searched finely only where the coarse search leads them there too; where
-            # something else is missing besides, a threshold's last digits say nothing.
+            # Beside one at the floor, others are searched finely only where the coarse search leads them there too.
+            # Where something else is missing besides, a threshold's last digits say nothing.
             at_floor = any(f.rms <= s.finished * floor and believed(k) for k, f in fits.items())
             return thorough_fit(
                 fits[i], jobs[i].score.effect, jobs[i].records, (s.finished if at_floor else s.stuck) * floor
