@@ -228,8 +228,8 @@ class SearchSettings:
     most_windows: int = 160
     # So many where they only say what whole runs are to be asked: 22 drawn pairs were told by them as by twice as many.
     windows_of_a_guide: int = 80
-    # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum; beyond it
-    # whole runs are not searched finely along a threshold.
+    # Windows stand above their floor by no more than this where a fit of whole runs may be in a local minimum; beyond
+    # it whole runs are not searched finely along a threshold.
     stuck: float = 2.0
     screen: ScreenSettings = ScreenSettings()
     lines: LineSettings = LineSettings()
