@@ -65,7 +65,8 @@ def test_of_speeds_only_what_acts_at_a_place_is_tried_and_nothing_behind_a_gap(t
     assert "gravity_load" not in hidden
     broken = replace(speeds, segments=np.repeat([0, 1], [1000, len(speeds) - 1000]))
     reasons = {name: limit.why for limit in inform([broken], []).limits if not limit.apart for name in limit.effects}
-    assert "where on its turn the shaft went on is not known" in reasons["gravity_load"]
+    for name in ("gravity_load", "friction_over_position"):
+        assert "where on its turn the shaft went on is not known" in reasons[name]
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,8 @@ def _times(count: int, what: str) -> str:
 
 
 Rule = tuple[tuple[str, ...], Callable[[Exercised], bool], Callable[[Exercised], str]]
-TURNING = ("gravity_load", "cogging_torque", "position_dependent_friction", "encoder_eccentricity")
+ON_THE_TURN = ("gravity_load", "cogging_torque", "position_dependent_friction")
+TURNING = (*ON_THE_TURN, "encoder_eccentricity")
 # What else there is looks like these.
 CANNOT_SHOW: Sequence[Rule] = (
     (
@@ -70,7 +71,7 @@ CANNOT_SHOW: Sequence[Rule] = (
         lambda d: "no angle is measured: what a sensor of it gets wrong does not show",
     ),
     (
-        TURNING,
+        (*ON_THE_TURN, "load_over_position", "friction_over_position"),
         lambda d: d.turns is None,
         lambda d: "readings of the speed are missing: where on its turn the shaft went on is not known",
     ),
