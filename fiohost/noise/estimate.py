@@ -106,6 +106,9 @@ class Noise:
         return not (self.torque_known or self.sensor.low > 0.0 or self.runs.known)
 
 
+# Looks at a torque's profile between two that were made.
+BETWEEN = 8
+
 # By so much a profile's deviance rises at the ends of a 95 % interval where pieces are independent.
 CHI_SQUARED_95 = 3.841
 
@@ -137,7 +140,7 @@ def _louder(groups: Sequence[Group], noise: Noise, settings: NoiseSettings) -> d
     """By run, how many times its sensor's noise is that of all of them; empty where chance would do (Bartlett 1937)."""
     looks, sensor = np.geomspace(*settings.louder_span, settings.louder_looks), noise.sensor.value
     time_s = noise.torque_s.value or settings.times_s[0]
-    axes = [np.array([time_s]), sensor * looks, np.array([noise.torque_pct.value])]
+    axes = [np.array([time_s]), sensor * looks, np.array([[noise.torque_pct.value]])]
     by_run: dict[str, list[Group]] = {}
     for group in groups:
         by_run.setdefault(group.run, []).append(group)
@@ -164,17 +167,23 @@ def _estimate(groups: Sequence[Group], sensor: float | None, settings: NoiseSett
     sensors = np.concatenate(([0.0], rms * np.geomspace(*settings.sensor_span, settings.sensor_looks)))
     sensors = sensors if sensor is None else np.array([sensor])
     torques = np.concatenate(([0.0], np.geomspace(*settings.torque_span_pct, settings.torque_looks)))
-    axes = [times, sensors, torques]
-    # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it.
-    for closer in [(1,)] * settings.sensor_zooms + [(0, 1, 2)] * settings.zooms:
-        looks = deviances(groups, settings, axes, least)
-        for i in closer:
-            axes[i] = _closer(axes[i], _profile(looks, i), settings)
+    axes = [times, sensors, np.tile(torques, (len(times), 1))]
+    # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it. Then the
+    # torque at each time: a time whose torque was looked at coarsely would seem unlikely.
+    for zoom in range(settings.sensor_zooms + 1 + settings.zooms):
+        looks, closer = deviances(groups, settings, axes, least), axes[0]
+        if zoom > settings.sensor_zooms:
+            closer = _spread(*_near(axes[0], looks.min(axis=(1, 2)), settings), len(axes[0]))
+        if zoom >= settings.sensor_zooms:
+            axes[2] = _closer_torques(closer, axes[0], axes[2], looks.min(axis=1), settings)
+        axes[0], axes[1] = closer, _spread(*_near(axes[1], looks.min(axis=(0, 2)), settings), len(axes[1]))
     looks = deviances(groups, settings, axes, least)
     best = np.unravel_index(int(np.argmin(looks)), looks.shape)
-    ranged = [_ranged(x, _profile(looks, i), settings) for i, x in enumerate(axes)]
-    time = ranged[0] if best[2] > 0 or axes[2][0] > 0.0 else Ranged(0.0, *settings.times_s)
-    return Noise(ranged[1], ranged[2], time, float(looks.min()), samples, likely=_likely(looks, axes, settings))
+    time = _ranged(axes[0], looks.min(axis=(1, 2)), settings)
+    time = time if axes[2][best[0], best[2]] > 0.0 else Ranged(0.0, *settings.times_s)
+    torque = _ranged(*_torque_profile(axes[2], looks.min(axis=1)), settings)
+    own = _ranged(axes[1], looks.min(axis=(0, 2)), settings)
+    return Noise(own, torque, time, float(looks.min()), samples, likely=_likely(looks, axes, settings))
 
 
 def _likely(looks: np.ndarray, axes: Sequence[np.ndarray], settings: NoiseSettings) -> np.ndarray:
@@ -182,25 +191,47 @@ def _likely(looks: np.ndarray, axes: Sequence[np.ndarray], settings: NoiseSettin
     around their best: at even steps of the likelihood summed up (systematic sampling).
     """
     counts = CHI_SQUARED_95 / settings.interval_deviance
-    chance = np.cumsum(np.exp(-0.5 * counts * (looks - looks.min())).ravel())
+    apart = np.gradient(axes[2], axis=1)[:, None, :]
+    chance = np.cumsum((apart * np.exp(-0.5 * counts * (looks - looks.min()))).ravel())
     steps = (np.arange(settings.likely) + 0.5) / settings.likely * chance[-1]
     times, sensors, torques = np.unravel_index(np.searchsorted(chance, steps), looks.shape)
-    return np.column_stack([axes[1][sensors], axes[2][torques], axes[0][times]])
+    return np.column_stack([axes[1][sensors], axes[2][times, torques], axes[0][times]])
 
 
-def _profile(looks: np.ndarray, axis: int) -> np.ndarray:
-    return np.asarray(looks.min(axis=tuple(i for i in range(looks.ndim) if i != axis)))
+def _closer_torques(
+    closer: np.ndarray, times: np.ndarray, torques: np.ndarray, profile: np.ndarray, settings: NoiseSettings
+) -> np.ndarray:
+    """The torques (n, m) of some ``closer`` times (n), around what is near the least of a profile (n, m) at ``times``
+    (n) and their ``torques`` (n, m).
+
+    Each time has torques of its own: data that tell how far a torque wanders in a second leave a ridge, on which a
+    longer time goes with a larger torque. It is narrower than the steps of a grid that all times share.
+    """
+    ends = [_near(x, row, settings) for x, row in zip(torques, profile, strict=True)]
+    lows, highs = (np.interp(np.log(closer), np.log(times), end).tolist() for end in zip(*ends, strict=True))
+    return np.array([_spread(low, high, torques.shape[1]) for low, high in zip(lows, highs, strict=True)])
 
 
-def _closer(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> np.ndarray:
-    """The grid (n) drawn anew around what is near the least deviance, a step more on either side."""
-    if len(x) == 1:
-        return x
+def _torque_profile(torques: np.ndarray, profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Torques (k) and the least deviance of each, from rows of torques (n, m) and their deviances (n, m): along the
+    rows and from one row to the next by straight lines.
+    """
+    between = np.linspace(0.0, len(torques) - 1.0, BETWEEN * (len(torques) - 1) + 1)
+    rows = [np.column_stack([np.interp(between, np.arange(len(x)), y) for y in x.T]) for x in (torques, profile)]
+    grid = _spread(float(torques.min()), float(torques.max()), BETWEEN * torques.shape[1])
+    least = [np.interp(grid, x, y) for x, y in zip(*rows, strict=True)]
+    return grid, np.min(least, axis=0)
+
+
+def _near(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> tuple[float, float]:
+    """Ends of what is near the least of a profile (n), a step more on either side."""
     near = np.flatnonzero(profile <= profile.min() + settings.near_deviance)
-    low, high = x[max(near[0] - 1, 0)], x[min(near[-1] + 1, len(x) - 1)]
-    if low > 0.0:
-        return np.asarray(np.geomspace(low, high, len(x)))
-    return np.asarray(np.linspace(0.0, high, len(x)))
+    return float(x[max(near[0] - 1, 0)]), float(x[min(near[-1] + 1, len(x) - 1)])
+
+
+def _spread(low: float, high: float, n: int) -> np.ndarray:
+    """So many values from one end to the other, by even ratios where none is nil."""
+    return np.asarray(np.geomspace(low, high, n) if low > 0.0 else np.linspace(0.0, high, n))
 
 
 def _ranged(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> Ranged:

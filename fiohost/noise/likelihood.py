@@ -212,10 +212,9 @@ def deviances(
     axes: Sequence[np.ndarray],
     least: float,
 ) -> np.ndarray:
-    """-2 log likelihood (times, sensors, torques) at all of the ``axes`` together, but for a constant."""
+    """-2 log likelihood (times, sensors, torques), but for a constant, at ``axes``: times (n), the sensor's noise (k)
+    and torques (n, m), a row for each time.
+    """
     times_s, sensors, torques = axes
-
-    def of(group: Group, time_s: float) -> np.ndarray:
-        return group_deviances(group, time_s, sensors, torques, least, settings)
-
-    return np.array([sum(of(g, t) for g in groups) for t in times_s.tolist()])
+    rows = zip(times_s.tolist(), torques, strict=True)
+    return np.array([sum(group_deviances(g, t, sensors, row, least, settings) for g in groups) for t, row in rows])
