@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.special import chdtri
 
 from fiohost.noise.covariance import ANGLE
@@ -106,7 +107,7 @@ class Noise:
         return not (self.torque_known or self.sensor.low > 0.0 or self.runs.known)
 
 
-# Looks at a torque's profile between two that were made.
+# So many looks for each that was made, once they are close.
 BETWEEN = 8
 
 # By so much a profile's deviance rises at the ends of a 95 % interval where pieces are independent.
@@ -179,9 +180,10 @@ def _estimate(groups: Sequence[Group], sensor: float | None, settings: NoiseSett
         axes[0], axes[1] = closer, _spread(*_near(axes[1], looks.min(axis=(0, 2)), settings), len(axes[1]))
     looks = deviances(groups, settings, axes, least)
     best = np.unravel_index(int(np.argmin(looks)), looks.shape)
-    time = _ranged(axes[0], looks.min(axis=(1, 2)), settings)
+    times, torques, profile = _finer(axes[0], axes[2], looks.min(axis=1))
+    time = _ranged(times, profile.min(axis=1), settings)
     time = time if axes[2][best[0], best[2]] > 0.0 else Ranged(0.0, *settings.times_s)
-    torque = _ranged(*_torque_profile(axes[2], looks.min(axis=1)), settings)
+    torque = _ranged(*_across(torques, profile), settings)
     own = _ranged(axes[1], looks.min(axis=(0, 2)), settings)
     return Noise(own, torque, time, float(looks.min()), samples, likely=_likely(looks, axes, settings))
 
@@ -212,15 +214,17 @@ def _closer_torques(
     return np.array([_spread(low, high, torques.shape[1]) for low, high in zip(lows, highs, strict=True)])
 
 
-def _torque_profile(torques: np.ndarray, profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Torques (k) and the least deviance of each, from rows of torques (n, m) and their deviances (n, m): along the
-    rows and from one row to the next by straight lines.
-    """
-    between = np.linspace(0.0, len(torques) - 1.0, BETWEEN * (len(torques) - 1) + 1)
-    rows = [np.column_stack([np.interp(between, np.arange(len(x)), y) for y in x.T]) for x in (torques, profile)]
+def _finer(times: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
+    """Times (n) and what goes with each (n, m), with more of them between, by cubic splines of even steps."""
+    looks = np.arange(len(times))
+    between = np.linspace(0.0, looks[-1], BETWEEN * looks[-1] + 1)
+    return [np.exp(np.interp(between, looks, np.log(times))), *(CubicSpline(looks, y)(between) for y in rows)]
+
+
+def _across(torques: np.ndarray, profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Torques (k) and the least deviance of each over all times, from rows of both (n, m)."""
     grid = _spread(float(torques.min()), float(torques.max()), BETWEEN * torques.shape[1])
-    least = [np.interp(grid, x, y) for x, y in zip(*rows, strict=True)]
-    return grid, np.min(least, axis=0)
+    return grid, np.min([np.interp(grid, x, y) for x, y in zip(torques, profile, strict=True)], axis=0)
 
 
 def _near(x: np.ndarray, profile: np.ndarray, settings: NoiseSettings) -> tuple[float, float]:
