@@ -27,6 +27,7 @@ from fiohost.discover.logs.whitened import drawing, looks_white, noise_of
 from fiohost.discover.step import Step
 from fiohost.errors import DataError
 from fiohost.estimation.bench import joining, pwm_of, with_bench
+from fiohost.estimation.counted import as_counts
 from fiohost.estimation.intervals import Estimate, estimates
 from fiohost.estimation.record import ANGLE, Record, speed_unit
 from fiohost.estimation.seen import seen_of
@@ -39,6 +40,14 @@ from fiohost.motor.model import Model
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import NO_SCATTER
 from fiohost.workers import each
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How a model follows records, and their floors."""
+
+    judgements: tuple[Judgement, ...]
+    floors: tuple[Floor, ...]
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,15 @@ class Diagnosis:
     unnamed: Unnamed | None = None
     own_starts: tuple[OwnStart | None, ...] = ()
     own_settings: OwnSettings = OWN
+    logged: tuple[Record, ...] = ()
+    logged_stages: tuple[Followed, ...] = ()
+
+    @property
+    def stages(self) -> tuple[Followed, ...]:
+        """The declared model and that of each step on the training logs as they were logged."""
+        return self.logged_stages or tuple(
+            Followed(s.judgements, s.floors) for s in (self.declared, *(step.stage for step in self.steps))
+        )
 
     @property
     def tolerable(self) -> bool:
@@ -126,8 +144,8 @@ class Diagnosis:
         """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the
         floor where no more than that is left.
         """
-        before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
-        floor = pool([f.errors for f in self.final.floors])
+        before, after = pooled(self.stages[0].judgements), pooled(self.stages[-1].judgements)
+        floor = pool([f.errors for f in self.stages[-1].floors])
         if before is None or after is None or floor is None:
             return None
         least = 0.0 if self.verdict == "unexplained" else floor.window_rms**2  # what is left is then no noise
@@ -191,7 +209,8 @@ def _diagnose(
     files: dict[str, dict[str, str]],
     said: Mapping[str, Said],
 ) -> Diagnosis:
-    began = time.monotonic()
+    began, logged = time.monotonic(), train
+    train = as_counts(train, model) or train
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
@@ -203,17 +222,21 @@ def _diagnose(
     if found.one_clock:
         ordered = in_sequence([*train, *holdout])
         train, holdout = ordered[: len(train)], ordered[len(train) :]
+        logged = in_sequence(logged)
     declared, steps, offered, stage = found.stages[0], found.steps, found.offered, found.final
+    final, counted = stage.fit.model, train[0].unit != logged[0].unit
+    noise = found.noise or noise_of(final, [j.start for j in stage.judgements], train)
+    heard = noise.of_speeds(train[0].sample_time_s) if counted else noise
     if found.noise:
-        train, holdout = drawing(train, found.noise), drawing(holdout, found.noise)
+        train, logged, holdout = drawing(train, noise), drawing(logged, heard), drawing(holdout, heard)
+    say("judging logs as they were logged") if counted else None
+    as_logged = [_followed(s, logged, rng) for s in (declared, *(s.stage for s in steps))] if counted else []
     say("judging held-out logs") if holdout else None
-    final = stage.fit.model
     after = tuple(each(lambda r: judge(r, final), holdout)) if holdout else ()
     left = dependences(train, final, stage.judgements, rng)
     lacked = dependences(train, declared.fit.model, declared.judgements, rng) if steps else left
-    noise = found.noise or noise_of(final, [j.start for j in stage.judgements], train)
     diagnosis = Diagnosis(
-        own_starts=tuple(own_starts(holdout, final, noise, own)),
+        own_starts=tuple(own_starts(holdout, final, heard, own)),
         own_settings=own,
         curves=tuple(force_curves(lacked, left)),
         tolerance_pct=tolerance_pct,
@@ -235,12 +258,20 @@ def _diagnose(
         noise_decided=found.noise is not None,
         white=found.white if found.noise else looks_white(stage, train),
         ruling=found.ruling,
+        logged=tuple(logged),
+        logged_stages=tuple(as_logged),
     )
     if diagnosis.verdict != "unexplained":
         return diagnosis
     say("describing by curves what no name explains")
     curves = with_curves(final, train)
     return replace(diagnosis, unnamed=curves, seconds=time.monotonic() - began)
+
+
+def _followed(stage: Stage, records: Sequence[Record], rng: np.random.Generator) -> Followed:
+    """A stage's model on records as they were logged."""
+    judged = tuple(each(lambda r: judge(r, stage.fit.model), records))
+    return Followed(judged, tuple(floors(records, stage.fit.model, judged, stage.scattered_models, rng)))
 
 
 def pooled(judgements: Sequence[Judgement]) -> Errors | None:

@@ -100,13 +100,14 @@ def clean(value: Any) -> Any:
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as a dictionary of schema ``fiohost.diagnosis/1``; of a linear axis in metres."""
-    declared, final, unit = found.declared, found.final, found.train[0].unit
+    declared, final, unit = found.declared, found.final, found.logged[0].unit
+    first, last = found.stages[0], found.stages[-1]
     logs: list[dict[str, Any]] = []
     own_starts = {
         r.name: own.to_json() if own else None for r, own in zip(found.holdout, found.own_starts, strict=True)
     }
     for role, records, before, after, floor in (
-        ("train", found.train, declared.judgements, final.judgements, final.floors),
+        ("train", found.logged, first.judgements, last.judgements, last.floors),
         ("holdout", found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout),
     ):
         for record, b, a, f in zip(records, before, after, floor, strict=True):
@@ -122,7 +123,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     **({"own_start": own_starts[record.name]} if role == "holdout" else {}),
                 }
             )
-    sources = {f.source for f in (*final.floors, *found.floor_holdout)}
+    sources = {f.source for f in (*last.floors, *found.floor_holdout)}
     upcoming = found.outlook.next_experiment
     result = {
         "schema": "fiohost.diagnosis/1",
@@ -145,21 +146,21 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "own_start": asdict(found.own_settings),
         },
         "clock": "logs one after the other" if found.one_clock else "as the logs say",
-        "before": {"train": _errors(pooled(declared.judgements)), "holdout": _errors(pooled(found.before_holdout))},
+        "before": {"train": _errors(pooled(first.judgements)), "holdout": _errors(pooled(found.before_holdout))},
         "steps": [
             {
                 "effect": step.effect,
                 "parameters": _parameters(found, step.stage, step.effect),
                 "evidence": step.evidence,
-                "after": {"train": _errors(pooled(step.stage.judgements)), "holdout": _errors(pooled(held))},
+                "after": {"train": _errors(pooled(stage.judgements)), "holdout": _errors(pooled(held))},
                 "indistinguishable_from": list(step.indistinguishable_from),
             }
-            for step, held in zip(found.steps, found.step_holdout, strict=True)
+            for step, stage, held in zip(found.steps, found.stages[1:], found.step_holdout, strict=True)
         ],
-        "after": {"train": _errors(pooled(final.judgements)), "holdout": _errors(pooled(found.after_holdout))},
+        "after": {"train": _errors(pooled(last.judgements)), "holdout": _errors(pooled(found.after_holdout))},
         "final": {"model": final.fit.model.expression, "parameters": _parameters(found, final)},
         "floor": {
-            "train": _errors(pool([f.errors for f in final.floors])),
+            "train": _errors(pool([f.errors for f in last.floors])),
             "holdout": _errors(pool([f.errors for f in found.floor_holdout])),
             "from": "repeats" if "repeats" in sources else "noise" if found.noise_decided else "replicas",
             "replicas": SEARCH.floor.replicas,

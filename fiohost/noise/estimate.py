@@ -75,6 +75,12 @@ class Noise:
         own = Ranged(times * self.sensor.value, times * self.sensor.low, times * self.sensor.high)
         return replace(self, sensor=own, likely=self._as_loud([times]), step_s=step_s)
 
+    def of_speeds(self, step_s: float) -> Noise:
+        """The noise of an angle as mean speeds over so long have it, each the difference of two readings."""
+        times = 2.0**0.5 / step_s
+        own = Ranged(times * self.sensor.value, times * self.sensor.low, times * self.sensor.high)
+        return replace(self, sensor=own, likely=self._as_loud([times]), of_angle=True, step_s=step_s)
+
     def _as_loud(self, times: Sequence[float]) -> np.ndarray | None:
         """The likely draws with the sensor so many times as loud, one after the other."""
         return None if self.likely is None else np.vstack([self.likely * (k, 1.0, 1.0) for k in times])

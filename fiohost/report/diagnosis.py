@@ -27,9 +27,9 @@ VARIABLE_LABELS = {
 
 def series_of(found: Diagnosis) -> list[SeriesPlot]:
     """One picture a log, held-out ones first: they are the proof."""
-    final, declared = found.final, found.declared
+    first, last = found.stages[0], found.stages[-1]
     held = zip(found.holdout, found.before_holdout, found.after_holdout, found.floor_holdout, strict=True)
-    fitted = zip(found.train, declared.judgements, final.judgements, final.floors, strict=True)
+    fitted = zip(found.logged, first.judgements, last.judgements, last.floors, strict=True)
     rows = [*(("holdout", *row) for row in held), *(("train", *row) for row in fitted)]
     return [
         SeriesPlot(
