@@ -254,7 +254,7 @@ def _diagnose(
         seconds=time.monotonic() - began,
         files=files,
         one_clock=found.one_clock,
-        noise=noise,
+        noise=heard,
         noise_decided=found.noise is not None,
         white=found.white if found.noise else looks_white(stage, train),
         ruling=found.ruling,

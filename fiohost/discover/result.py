@@ -47,7 +47,7 @@ def _noise(found: Diagnosis) -> dict[str, Any] | None:
     """
     if found.noise is None or not found.noise.samples:
         return None
-    noise, unit = found.noise.at(found.train[0].sample_time_s), found.train[0].unit
+    noise, unit = found.noise.at(found.logged[0].sample_time_s), found.logged[0].unit
     torque = noise.torque_known
 
     def told(ranged: Ranged, unit: str, identifiable: bool) -> dict[str, Any]:
