@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from fiohost.estimation.fit import fit_from_scratch
-from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record, rest_weights
+from fiohost.estimation.record import ANGLE, MEAN_SPEED, REST_SAMPLES, Record, rest_weights
 from fiohost.motor.model import Model
 from fiohost.noise.quantum import found_quantum
 
@@ -64,8 +64,8 @@ def _summed_up(record: Record) -> Record | None:
         kind=ANGLE,
         unit=record.unit.removesuffix("/s"),
         quantum=count,
-        own_zero=True,
         begun_deg=0.0,
+        at_rest=record.at_rest and bool(np.ptp(angle[:REST_SAMPLES]) == 0.0),
         weights=rest_weights(angle, ANGLE, count, record.sample_time_s),
     )
 
