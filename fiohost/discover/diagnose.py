@@ -210,7 +210,9 @@ def _diagnose(
     said: Mapping[str, Said],
 ) -> Diagnosis:
     began, logged = time.monotonic(), train
-    train = as_counts(train, model) or train
+    if counts := as_counts(train, model):
+        train = counts
+        say("the speeds are differences of counts: searched as the angle that they add up to")
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")

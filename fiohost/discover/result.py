@@ -130,6 +130,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "fiohost_version": __version__,
         "seconds": found.seconds,
         "output_unit": LOG_UNIT.get(unit, unit),
+        **({"searched_in": found.train[0].unit} if found.logged_stages else {}),
         **found.preliminary.to_json(),
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(found, declared)},
         "verdict": found.verdict,

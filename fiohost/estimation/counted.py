@@ -50,14 +50,14 @@ def _summed_up(record: Record) -> Record | None:
     ):
         return None
     ticks = np.rint(np.diff(record.excitation.times_s) / record.sample_time_s)
-    for quantum in (record.quantum, found_quantum(record.y)):
-        turns = record.y[1:] * ticks / quantum if quantum > 0.0 else np.array([np.inf])
-        if bool(np.all(np.abs(turns - np.rint(turns)) < WHOLE)):
-            break
-    else:
+    steps = [q for q in (record.quantum, found_quantum(record.y)) if q > 0.0]
+    turns = [record.y[1:] * ticks / q for q in steps]
+    off = [round(float(np.abs(t - np.rint(t)).max()), 2) for t in turns]  # what was said is said roughly at times
+    if min(off, default=np.inf) > WHOLE:
         return None
+    quantum, counts = steps[off.index(min(off))], np.rint(turns[off.index(min(off))])
     count = quantum * record.sample_time_s
-    angle = count * np.concatenate(([0.0], np.cumsum(np.rint(turns))))
+    angle = count * np.concatenate(([0.0], np.cumsum(counts)))
     return replace(
         record,
         y=angle,
