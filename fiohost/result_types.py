@@ -117,7 +117,7 @@ class DiagnosisResult(TypedDict, total=False):
     fiohost_version: str
     seconds: float
     output_unit: str
-    searched_in: str
+    searched_as: dict[str, object]
     declared: ModelResult
     verdict: Literal["no_missing_effect", "explained", "unexplained"]
     explained_to: Literal["sensor", "noise", "repeatability"] | None

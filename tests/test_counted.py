@@ -15,6 +15,7 @@ from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.noise.draw import draw_sensor
 from fiohost.noise.estimate import Noise, Ranged
+from fiohost.report.words import verdict_sentence
 
 DECLARED = Model.parse("linear+coulomb_friction")
 SMALL = truth_model(("coulomb_friction", "bridge_voltage_drop"), {"bridge_voltage_drop.drop_pct": 0.5})
@@ -110,7 +111,12 @@ def test_an_effect_far_below_one_count_of_speed_is_named(small: Diagnosis) -> No
 def test_what_was_searched_as_an_angle_is_told_in_speeds(small: Diagnosis) -> None:
     told = to_json(small)
     assert told["output_unit"] == "deg/s"
-    assert (told["searched_in"], [r.unit for r in small.train]) == ("deg", ["deg"] * 3)
+    searched = told["searched_as"]
+    assert (searched["unit"], [r.unit for r in small.train]) == ("deg", ["deg"] * 3)
+    assert searched["after"]["free_run_rms"] < 1.1 * searched["floor"]["free_run_rms"] < 0.2  # half a degree a count
+    assert searched["before"]["free_run_rms"] > 1.5 * searched["floor"]["free_run_rms"]
+    assert told["explained_pct"] > 95.0
+    assert f"{searched['after']['free_run_rms']:.3f} deg after" in verdict_sentence(told)
     assert told["noise"]["sensor_rms"]["unit"] == "deg/s"
     for role in ("train", "holdout"):
         after, floor = told["after"][role]["window_rms"], told["floor"][role]["window_rms"]

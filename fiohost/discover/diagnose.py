@@ -144,8 +144,8 @@ class Diagnosis:
         """Share of the declared model's squared error that is gone, in one-second windows; of what stands above the
         floor where no more than that is left.
         """
-        before, after = pooled(self.stages[0].judgements), pooled(self.stages[-1].judgements)
-        floor = pool([f.errors for f in self.stages[-1].floors])
+        before, after = pooled(self.declared.judgements), pooled(self.final.judgements)
+        floor = pool([f.errors for f in self.final.floors])
         if before is None or after is None or floor is None:
             return None
         least = 0.0 if self.verdict == "unexplained" else floor.window_rms**2  # what is left is then no noise

@@ -63,6 +63,16 @@ def _noise(found: Diagnosis) -> dict[str, Any] | None:
     }
 
 
+def _searched(found: Diagnosis) -> dict[str, Any]:
+    """The training errors of the angle that was searched in the place of the speeds that add up to it."""
+    return {
+        "unit": found.train[0].unit,
+        "before": _errors(pooled(found.declared.judgements)),
+        "after": _errors(pooled(found.final.judgements)),
+        "floor": _errors(pool([f.errors for f in found.final.floors])),
+    }
+
+
 def _run_to_run(found: Diagnosis) -> dict[str, Any]:
     """What differs from run to run, by the parameter that does: its standard deviation, and each run's own value."""
     runs, final = (found.noise.runs if found.noise else None), found.final.fit.model
@@ -130,7 +140,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "fiohost_version": __version__,
         "seconds": found.seconds,
         "output_unit": LOG_UNIT.get(unit, unit),
-        **({"searched_in": found.train[0].unit} if found.logged_stages else {}),
+        **({"searched_as": _searched(found)} if found.logged_stages else {}),
         **found.preliminary.to_json(),
         "declared": {"model": declared.fit.model.expression, "parameters": _parameters(found, declared)},
         "verdict": found.verdict,

@@ -125,7 +125,24 @@ def follows(diagnosis: Mapping[str, Any]) -> str:
 
 
 def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
-    """The result in one or two sentences that stand alone."""
+    """The result in a few sentences that stand alone."""
+    return f"{_verdict(diagnosis)}{_searched(diagnosis)}"
+
+
+def _searched(diagnosis: Mapping[str, Any]) -> str:
+    """How far the angle errs that speeds of counts add up to, where it was searched; empty otherwise."""
+    told = diagnosis.get("searched_as")
+    if not isinstance(told, Mapping):
+        return ""
+    before, after, floor = (
+        with_unit((told.get(key) or {}).get("free_run_rms"), str(told.get("unit", "")))
+        for key in ("before", "after", "floor")
+    )
+    change = f"by {before} rms before and {after} after" if diagnosis.get("steps") else f"by {after} rms"
+    return f" The angle that these speeds of counts add up to, which was searched, errs {change}; its floor is {floor}."
+
+
+def _verdict(diagnosis: Mapping[str, Any]) -> str:
     verdict = diagnosis.get("verdict")
     declared = str((diagnosis.get("declared") or {}).get("model", "the declared model"))
     found = found_words(diagnosis)
