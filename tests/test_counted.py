@@ -15,7 +15,8 @@ from fiohost.estimation.record import ANGLE, MEAN_SPEED, Record
 from fiohost.motor.model import Model
 from fiohost.noise.draw import draw_sensor
 from fiohost.noise.estimate import Noise, Ranged
-from fiohost.report.words import verdict_sentence
+from fiohost.report.outlook import curves_sentence
+from fiohost.report.words import searched_unit, verdict_sentence
 
 DECLARED = Model.parse("linear+coulomb_friction")
 SMALL = truth_model(("coulomb_friction", "bridge_voltage_drop"), {"bridge_voltage_drop.drop_pct": 0.5})
@@ -67,7 +68,8 @@ def test_speeds_that_were_measured_and_rounded_add_up_to_nothing(angles: list[Re
 def test_what_is_no_whole_log_of_a_shaft_s_counts_stays_as_it_is(angles: list[Record]) -> None:
     speeds = [speeds_of(r) for r in angles]
     broken = replace(speeds[0], segments=np.repeat([0, 1], [1000, len(speeds[0]) - 1000]))
-    others = (broken, replace(speeds[0], rotary=False), replace(speeds[0], noise_rms=2.0), angles[0])
+    fine = replace(speeds[0], y=speeds[0].y + np.pi * np.arange(len(angles[0])) ** 0.5, quantum=1e-300)
+    others = (broken, replace(speeds[0], rotary=False), replace(speeds[0], noise_rms=2.0), fine, angles[0])
     assert as_counts(speeds[:1], DECLARED) is not None
     for other in others:
         assert as_counts([speeds[1], other], DECLARED) is None
@@ -125,3 +127,11 @@ def test_what_was_searched_as_an_angle_is_told_in_speeds(small: Diagnosis) -> No
     for log in told["logs"]:
         assert log["after"]["window_rms"] == pytest.approx(log["floor"]["window_rms"], rel=0.1)
     assert told["steps"][0]["after"]["train"] == told["after"]["train"]
+
+
+def test_what_was_found_of_the_angle_is_told_in_its_unit(small: Diagnosis) -> None:
+    told = to_json(small)
+    assert searched_unit(told) == "deg"
+    assert searched_unit({**told, "searched_as": None}) == "deg/s"
+    curves = {"effects": ["load_over_speed"], "before": {"window_rms": 0.5}, "after": {"window_rms": 0.2}}
+    assert "err by 0.200 deg with them, 0.500 deg without" in curves_sentence({**told, "unnamed": curves})

@@ -21,8 +21,8 @@ from fiohost.noise.quantum import found_quantum
 BLOCK, CURVE = 16, 2
 # No look says more than this, as a logarithm of odds: one with a kink in it is no noise of either kind.
 MOST = 3.0
-# A reading is a whole number of counts to this share of one.
-WHOLE = 0.2
+# A reading is a whole number of counts to this share of one, and of no more than so many.
+WHOLE, MOST_COUNTS = 0.2, 1e9
 
 
 def as_counts(records: Sequence[Record], model: Model) -> list[Record] | None:
@@ -50,7 +50,8 @@ def _summed_up(record: Record) -> Record | None:
     ):
         return None
     ticks = np.rint(np.diff(record.excitation.times_s) / record.sample_time_s)
-    steps = [q for q in (record.quantum, found_quantum(record.y)) if q > 0.0]
+    least = float(np.abs(record.y).max()) / MOST_COUNTS
+    steps = [q for q in (record.quantum, found_quantum(record.y)) if q > least]
     turns = [record.y[1:] * ticks / q for q in steps]
     off = [round(float(np.abs(t - np.rint(t)).max()), 2) for t in turns]  # what was said is said roughly at times
     if min(off, default=np.inf) > WHOLE:

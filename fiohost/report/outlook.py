@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from fiohost.report.words import FOLLOWS, effect_words, listed, number, with_unit
+from fiohost.report.words import FOLLOWS, effect_words, listed, number, searched_unit, with_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,7 +58,7 @@ def empirical_sentence(diagnosis: Mapping[str, Any]) -> str:
 
 def curves_sentence(diagnosis: Mapping[str, Any]) -> str:
     """What curves of no name in the model that is handed over are worth; empty where there are none."""
-    told, unit = diagnosis.get("unnamed"), str(diagnosis.get("output_unit", ""))
+    told, unit = diagnosis.get("unnamed"), searched_unit(diagnosis)
     if not isinstance(told, Mapping):
         return ""
     names = listed(f"a {effect_words(str(name))}" for name in told["effects"])

@@ -118,6 +118,7 @@ def render(
         physical=any(row["physical"] for row in sizes),
         captions=captions(diagnosis),
         unit=unit,
+        searched_unit=words.searched_unit(diagnosis),
         unit_words=unit_words,
         declared=str((diagnosis.get("declared") or {}).get("model", "")),
         final=final,
@@ -164,7 +165,7 @@ def render(
         shown=shown,
         folded=[i for i in range(len(records)) if i not in shown],
         picture_residual=as_svg(plot_residual(left)) if left else "",
-        picture_answers=as_svg(plot_answers(asked, floor, unit))
+        picture_answers=as_svg(plot_answers(asked, floor, words.searched_unit(diagnosis)))
         if any(len(q.get("window_rms") or {}) > 1 for _, q in asked)
         else "",
         picture_bars=as_svg(plot_residual_bars(logs, unit)) if logs else "",

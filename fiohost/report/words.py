@@ -129,13 +129,18 @@ def verdict_sentence(diagnosis: Mapping[str, Any]) -> str:
     return f"{_verdict(diagnosis)}{_searched(diagnosis)}"
 
 
+def searched_unit(diagnosis: Mapping[str, Any]) -> str:
+    """The unit of what was searched: the output's, or that of the angle that speeds add up to."""
+    return str((diagnosis.get("searched_as") or {}).get("unit") or diagnosis.get("output_unit", ""))
+
+
 def _searched(diagnosis: Mapping[str, Any]) -> str:
     """How far the angle errs that speeds of counts add up to, where it was searched; empty otherwise."""
     told = diagnosis.get("searched_as")
     if not isinstance(told, Mapping):
         return ""
     before, after, floor = (
-        with_unit((told.get(key) or {}).get("free_run_rms"), str(told.get("unit", "")))
+        with_unit((told.get(key) or {}).get("free_run_rms"), searched_unit(diagnosis))
         for key in ("before", "after", "floor")
     )
     change = f"by {before} rms before and {after} after" if diagnosis.get("steps") else f"by {after} rms"
