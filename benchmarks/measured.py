@@ -62,5 +62,7 @@ if __name__ == "__main__":
         sys.exit()
     if len(sys.argv) < 2 or not set(sys.argv[2:]) <= {*SECTIONS, WORDS}:
         sys.exit(__doc__)
+    if sys.argv[1] == "-" and "FIOHOST_DATA" not in os.environ:
+        sys.exit("set FIOHOST_DATA to the folder that holds the measured data, or name that folder instead of -")
     given = Path(os.environ["FIOHOST_DATA"], "measured") if sys.argv[1] == "-" else Path(sys.argv[1])
     main(given, sys.argv[2:] or list(SECTIONS))
