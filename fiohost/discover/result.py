@@ -10,6 +10,7 @@ from fiohost import __version__
 from fiohost.discover.diagnose import Diagnosis, parameters, pooled
 from fiohost.discover.logs.own_start import pooled as pooled_own
 from fiohost.discover.settings import SETTINGS as SEARCH
+from fiohost.estimation.counted import SETTINGS as COUNTS
 from fiohost.estimation.intervals import Estimate
 from fiohost.estimation.stamps import SETTINGS as STAMPS
 from fiohost.judging.metrics import Errors, pool
@@ -153,6 +154,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "settings": {
             "noise": asdict(NOISE),
             "stamps": asdict(STAMPS),
+            "counts": asdict(COUNTS),
             "search": asdict(SEARCH),
             "own_start": asdict(found.own_settings),
         },
