@@ -153,7 +153,7 @@ def _louder(groups: Sequence[Group], noise: Noise, settings: NoiseSettings) -> d
         by_run.setdefault(group.run, []).append(group)
     louder, gain = {}, 0.0
     for run, parts in by_run.items():
-        profile = deviances(merged(parts), settings, axes, LEAST_VARIANCE * sensor**2)[0, :, 0]
+        profile = deviances(merged(parts), axes, LEAST_VARIANCE * sensor**2, settings)[0, :, 0]
         louder[run] = _ranged(looks, profile, settings).value
         gain += float(profile[len(looks) // 2] - profile.min())
     free = len(by_run) - 1
@@ -178,13 +178,13 @@ def _estimate(groups: Sequence[Group], sensor: float | None, settings: NoiseSett
     # The sensor's noise is known best by far: found first, so that no torque makes up for a coarse look at it. Then the
     # torque at each time: a time whose torque was looked at coarsely would seem unlikely.
     for zoom in range(settings.sensor_zooms + 1 + settings.zooms):
-        looks, closer = deviances(groups, settings, axes, least), axes[0]
+        looks, closer = deviances(groups, axes, least, settings), axes[0]
         if zoom > settings.sensor_zooms:
             closer = _spread(*_near(axes[0], looks.min(axis=(1, 2)), settings), len(axes[0]))
         if zoom >= settings.sensor_zooms:
             axes[2] = _closer_torques(closer, axes[0], axes[2], looks.min(axis=1), settings)
         axes[0], axes[1] = closer, _spread(*_near(axes[1], looks.min(axis=(0, 2)), settings), len(axes[1]))
-    looks = deviances(groups, settings, axes, least)
+    looks = deviances(groups, axes, least, settings)
     best = np.unravel_index(int(np.argmin(looks)), looks.shape)
     times, torques, profile = _finer(axes[0], axes[2], looks.min(axis=1))
     time = _ranged(times, profile.min(axis=1), settings)

@@ -2,7 +2,8 @@
 
 The residual of a piece is N(0, sigma_m^2 I + counts + sigma_p^2 H C(tau_d) H'), H the motor from torque to output.
 What the piece's own angle and speed at its beginning can take is projected off: restricted maximum likelihood
-(Patterson and Thompson 1971).
+(Patterson and Thompson 1971). Where each reading errs by its own, one basis makes that diagonal for all sizes; where
+what one speed lacks the next one has, the filter of the noise takes a time that grows with the samples.
 """
 
 from __future__ import annotations
@@ -14,15 +15,12 @@ from functools import lru_cache
 import numpy as np
 
 from fiohost.noise import covariance
+from fiohost.noise.innovations import LINKS, STATES, follow
+from fiohost.noise.innovations import deviances as by_filter
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
-# Directions in which a torque adds less than this share to the variance do not count.
-LEAST_DIRECTION = 1e-3
 # No reading is better known than to this share of what is left, in squares: a sensor may have neither counts nor noise.
 LEAST_VARIANCE = 1e-12
-# Nor readings of which each may have what the next one lacks to less than so many times that: below, what is left and
-# what a torque takes of it cancel.
-BY_DIFFERENCES = 1e6
 
 
 @dataclass(frozen=True)
@@ -43,6 +41,16 @@ class Motor:
     def by_differences(self) -> bool:
         """Whether what readings err by is that of two angles."""
         return self.of_angle or self.kind == covariance.MEAN_SPEED
+
+    def sensed(self, sensor: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Variances by which a reading errs, for each rms of a ``sensor`` (n): its own noise (n), its own count, and
+        what the next reading lacks of it (n).
+        """
+        noise, count = sensor**2, self.quantum**2 / 12.0
+        own, shared = (0.0, count) if self.kind == covariance.MEAN_SPEED else (count, 0.0)
+        if self.of_angle:  # as counts of a mean speed, half of it from either end
+            return 0.0 * noise, own, shared + 0.5 * noise
+        return noise, own, shared + 0.0 * noise
 
     @property
     def count_rms(self) -> float:
@@ -124,97 +132,77 @@ def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) 
     return free @ vectors, np.maximum(values, 0.0)
 
 
-@lru_cache(maxsize=1024)
-def _counted_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of pieces of n speeds: variances (m) that counts of a unit quantum have, as a mean speed has them, along
-    directions (m, m) in which they are apart from each other, in the basis of ``_torque_part``.
-    """
-    basis, _ = _torque_part(n, tau_s, kind, step_s, time_s)
-    values, vectors = np.linalg.eigh(basis.T @ covariance.counts(n, 1.0, covariance.MEAN_SPEED) @ basis)
-    return np.maximum(values, 0.0), vectors
-
-
-def _rounded(tau_s: float, settings: NoiseSettings) -> float:
-    """A lag near enough for the shape of covariances, so that work on them serves for all models of one motor."""
-    return float(np.exp(settings.lag_step * np.round(np.log(tau_s) / settings.lag_step)))
-
-
-def _sensed_variances(n: int, motor: Motor, time_s: float, sensors: np.ndarray, least: float) -> np.ndarray:
-    """Of pieces of n speeds, for each of some sensors' noise: variances (sensors, m) without a torque, in directions of
-    ``_counted_part``. That of an angle is in them as counts are: they err by a sixth of their square.
-    """
-    spread, _ = _counted_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
-    noise, count = sensors[:, None] ** 2, motor.quantum**2
-    own = spread * count if motor.kind == covariance.MEAN_SPEED else np.full(len(spread), count / 12.0)
-    own = own + (6.0 * noise * spread if motor.of_angle else noise)
-    return np.asarray(own + 1e-12 * own.max(axis=1, keepdims=True) + least)
-
-
-@lru_cache(maxsize=1024)
-def _sensed_part(
-    n: int,
-    motor: Motor,
-    time_s: float,
-    sensors: tuple[float, ...],
-    least: float,
-    most: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of pieces of n speeds: what a torque of 1 % and a motor of unit gain does (m, k) in directions of
-    ``_counted_part``; and for each of some sensors' noise how many times the variance without a torque that is
-    (sensors, k), along vectors (sensors, k, k).
-
-    Counts of a mean speed are not white: where they are apart from each other, a torque is a correction of few
-    directions (Woodbury 1950), those in which the ``most`` of it, as a variance, shows beside them.
-    """
-    _, torque = _torque_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
-    _, apart = _counted_part(n, motor.tau_s, motor.kind, motor.step_s, time_s)
-    own = _sensed_variances(n, motor, time_s, np.array(sensors), least)
-    shows = most * torque * ((apart**2) @ (1.0 / own.min(axis=0)))
-    seen = np.flatnonzero(shows > LEAST_DIRECTION)
-    acts = apart[seen].T * np.sqrt(torque[seen])
-    sizes, vectors = np.linalg.eigh((acts.T[None] / own[:, None, :]) @ acts)
-    return acts, np.maximum(sizes, 0.0), vectors
-
-
-def group_deviances(
+def _by_covariance(
     group: Group, time_s: float, sensors: np.ndarray, torques: np.ndarray, least: float, settings: NoiseSettings
 ) -> np.ndarray:
-    """-2 log likelihood (sensors, torques) of the pieces of a group, but for a constant; no variance is below
-    ``least``.
-    """
-    (n, count), motor, sensors = group.residuals.shape, group.motor, group.louder * sensors
-    tau_s = _rounded(motor.tau_s, settings)
+    """-2 log likelihood (sensors, torques) of a group whose readings err each by its own: it is diagonal."""
+    (n, count), motor = group.residuals.shape, group.motor
+    tau_s = float(np.exp(settings.lag_step * np.round(np.log(motor.tau_s) / settings.lag_step)))
     basis, torque = _torque_part(n, tau_s, motor.kind, motor.step_s, time_s)
     left, power = basis.T @ group.residuals, (torques * motor.gain) ** 2
-    if not motor.by_differences:
-        own = sensors**2 + motor.quantum**2 / 12.0 + least
-        variance = own[:, None, None] + power[None, :, None] * torque
-        return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
-    _, apart = _counted_part(n, tau_s, motor.kind, motor.step_s, time_s)
-    least *= BY_DIFFERENCES if motor.of_angle or motor.quantum == 0.0 else 1.0
-    # A torque that would leave far more than there is need not be judged well.
-    enough = settings.most_left**2 * float(np.mean(left**2)) * len(torque) / max(float(torque.sum()), 1e-300)
-    most = 2.0 ** np.ceil(np.log2(max(min(float(power.max()), enough), 1e-300)))
-    shape = n, replace(motor, gain=1.0, tau_s=tau_s), time_s
-    own = _sensed_variances(*shape, sensors, least)
-    acts, sizes, vectors = _sensed_part(*shape, tuple(sensors.tolist()), least, most)
-    left = apart.T @ left
-    pulls = np.sum((np.swapaxes(vectors, 1, 2) @ (acts.T @ (left / own[:, :, None]))) ** 2, axis=2)
-    fixed = count * np.log(own).sum(axis=1) + (np.sum(left**2, axis=1) / own).sum(axis=1)
-    grown = 1.0 + power[None, :, None] * sizes[:, None, :]
-    pulled = power[None, :, None] / grown * pulls[:, None, :]
-    return np.asarray(fixed[:, None] + np.sum(count * np.log(grown) - pulled, axis=2))
+    noise, own, _ = motor.sensed(group.louder * sensors)
+    variance = (noise + own + least)[:, None, None] + power[None, :, None] * torque
+    return np.asarray(np.sum(count * np.log(variance) + np.sum(left**2, axis=1) / variance, axis=2))
+
+
+def together(groups: Sequence[Group]) -> list[Pieces]:
+    """Groups as the filter takes them, those of one motor and loudness as one."""
+    alike: dict[tuple[Motor, float], list[np.ndarray]] = {}
+    for group in groups:
+        alike.setdefault((group.motor, group.louder), []).append(group.residuals)
+    return [Pieces.of(parts, motor, louder) for (motor, louder), parts in alike.items()]
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces of one motor, however long: columns (n, c), the longest first, of which ``lasting`` (n) go on so far."""
+
+    columns: np.ndarray
+    lasting: np.ndarray
+    motor: Motor
+    louder: float
+
+    @classmethod
+    def of(cls, residuals: Sequence[np.ndarray], motor: Motor, louder: float) -> Pieces:
+        """Of residuals (n, pieces) of several lengths."""
+        parts = sorted(residuals, key=len, reverse=True)
+        columns = np.zeros((len(parts[0]), sum(p.shape[1] for p in parts)))
+        lasting, at = np.zeros(len(columns), dtype=np.int64), 0
+        for part in parts:
+            at += part.shape[1]
+            columns[: len(part), at - part.shape[1] : at] = part
+            lasting[: len(part)] = at
+        return cls(columns, lasting, motor, louder)
+
+    def deviances(self, time_s: float, sensors: np.ndarray, torques: np.ndarray, least: float) -> np.ndarray:
+        """-2 log likelihood (sensors, torques) but for a constant; no variance of a reading is below ``least``."""
+        n, motor = len(self.columns), self.motor
+        rows, links, ones, lags = np.arange(n), np.zeros((n, LINKS)), np.ones(n), np.full(n, motor.tau_s)
+        follow(rows * motor.step_s, lags, ones, rows, rows == 0, motor.gain, motor.tau_s, motor.kind, time_s, links)
+        links[-1] = links[0]
+        noise, count, shared = motor.sensed(self.louder * sensors)
+        found = np.zeros((len(sensors), len(torques)))
+        by_filter(
+            self.columns, self.lasting, links, noise + count + least, shared, torques**2, motor.kind,
+            np.zeros((n, STATES)), np.zeros(n), np.zeros((STATES, STATES)), np.zeros((STATES, self.columns.shape[1])),
+            found,
+        )  # fmt: skip
+        return found
 
 
 def deviances(
-    groups: Sequence[Group],
-    settings: NoiseSettings,
-    axes: Sequence[np.ndarray],
-    least: float,
+    groups: Sequence[Group], axes: Sequence[np.ndarray], least: float, settings: NoiseSettings = SETTINGS
 ) -> np.ndarray:
     """-2 log likelihood (times, sensors, torques), but for a constant, at ``axes``: times (n), the sensor's noise (k)
-    and torques (n, m), a row for each time.
+    and torques (n, m), a row for each time; no variance of a reading is below ``least``.
     """
     times_s, sensors, torques = axes
-    rows = zip(times_s.tolist(), torques, strict=True)
-    return np.array([sum(group_deviances(g, t, sensors, row, least, settings) for g in groups) for t, row in rows])
+    apart = [g for g in groups if not g.motor.by_differences]
+    differing = together([g for g in groups if g.motor.by_differences])
+    return np.array(
+        [
+            sum(_by_covariance(g, t, sensors, row, least, settings) for g in apart)
+            + sum(p.deviances(t, sensors, row, least) for p in differing)
+            for t, row in zip(times_s.tolist(), torques, strict=True)
+        ]
+    )

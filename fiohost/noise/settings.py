@@ -34,8 +34,6 @@ class NoiseSettings:
     sensor_zooms: int = 2
     zooms: int = 3
     near_deviance: float = 9.0
-    # A torque that alone would leave so many times what is left is judged roughly.
-    most_left: float = 3.0
     # What is left, from which sensor noise is looked for, is taken to so much of itself, in logarithms.
     noise_step: float = 0.25
     # A lag is taken to so much of itself: the shape of covariances does not hang on less.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fiohost.noise.average import Average
-from fiohost.noise.covariance import MEAN_SPEED, Movement
+from fiohost.noise.covariance import Movement
 from fiohost.noise.estimate import Noise
-from fiohost.noise.innovations import COUNTED, LINKS, STATES, filters, follow, innovations
+from fiohost.noise.innovations import LINKS, STATES, filters, follow, innovations
 from fiohost.noise.likelihood import Motor
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
@@ -45,25 +46,23 @@ class Whitener:
         within = np.arange(int(lengths.sum())) - np.repeat(places, lengths)
         rows = np.repeat(firsts[long].astype(np.int64), lengths) + within
         self._at = np.repeat((np.cumsum(all_lengths) - all_lengths)[long], lengths) + within
-        n, states = len(rows), COUNTED if motor.kind == MEAN_SPEED or noise.of_angle else STATES
+        n = len(rows)
         begins = np.zeros(n, dtype=bool)
         begins[places] = True
         self._weights, self._links = weights[rows], np.zeros((n, LINKS))
-        torque, count, sensor = noise.torque_pct.value**2, motor.quantum**2 / 12.0, noise.sensor.value**2
-        own_count = 0.0 if motor.kind == MEAN_SPEED else count
-        if noise.of_angle:  # as counts of a mean speed, half of it from either end
-            count, sensor = count - own_count + 0.5 * sensor, 0.0
+        torque = noise.torque_pct.value**2
+        sensor, own_count, count = replace(motor, of_angle=noise.of_angle).sensed(np.array(noise.sensor.value))
         at_start = min(noise.torque_pct.value, SETTINGS.most_at_start_pct) ** 2
         follow(
             times_s, moving.lag_s, moving.keeps, rows, begins, motor.gain, motor.tau_s, motor.kind,
             noise.torque_s.value, self._links,
         )  # fmt: skip
-        own = np.full(n, sensor)
+        own = np.full(n, float(sensor))
         own += own_count / self._weights**2
-        self._gains, self._scales, sure = np.zeros((n, states)), np.zeros(n), np.ones(n)
+        self._gains, self._scales, sure = np.zeros((n, STATES)), np.zeros(n), np.ones(n)
         determinant = filters(
-            self._weights, begins, moving.stands[rows], self._links, own, count, torque, at_start,
-            motor.kind, motor.tau_s, self._gains, self._scales, sure, np.zeros((states, states)),
+            self._weights, begins, moving.stands[rows], self._links, own, float(count), torque, at_start,
+            motor.kind, motor.tau_s, self._gains, self._scales, sure, np.zeros((STATES, STATES)),
         )  # fmt: skip
         self.log_determinant = float(determinant)
         self.sure = np.ones(len(times_s))
@@ -76,7 +75,7 @@ class Whitener:
         columns = np.ascontiguousarray(series, dtype=np.float64).reshape(len(series), -1)
         if self._average:
             columns = self._average.undone(columns, self._begins)
-        out, states = np.zeros_like(columns), np.zeros((self._gains.shape[1], columns.shape[1]))
+        out, states = np.zeros_like(columns), np.zeros((STATES, columns.shape[1]))
         innovations(columns, self._at, self._links, self._weights, self._gains, self._scales, states, out)
         return out.reshape(series.shape)
 
