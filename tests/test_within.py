@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bench_data import suite, truth_model
 
-from fiohost.discover.evidence import State
 from fiohost.discover.logs.refit import LogsBeside
 from fiohost.discover.logs.weighed_windows import WeighedWindows
+from fiohost.discover.logs.whitened import Settling
 from fiohost.estimation.fit import Fit, fit
 from fiohost.motor.effect import effect
 
@@ -31,12 +31,12 @@ def test_beside_white_noise_that_no_candidate_gains_on_it_is_not_settled_on_them
     state = windows.settled(fit(truth.without(["armature_inductance"]), windows.records, windows=True))
     settled: list[str] = []
 
-    def recorded(self: WeighedWindows, fitted: Fit, whitened: bool = False) -> State:
+    def recorded(self: WeighedWindows, fitted: Fit, whitened: bool = False) -> Settling:
         settled.append(fitted.model.effects[-1])
         return of_class(self, fitted, whitened)
 
-    of_class = WeighedWindows.settled
-    monkeypatch.setattr(WeighedWindows, "settled", recorded)
+    of_class = WeighedWindows._begun
+    monkeypatch.setattr(WeighedWindows, "_begun", recorded)
     found = LogsBeside(windows, state).refitted([effect(n) for n in OFFERED], lambda text: None)
     others = {of.name: s for of, s in found if of.name != "constant_load"}
     assert others
