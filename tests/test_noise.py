@@ -8,7 +8,7 @@ import pytest
 from fiohost.noise import covariance
 from fiohost.noise.draw import draw_sensor, draw_torque
 from fiohost.noise.estimate import Noise, Ranged, estimate
-from fiohost.noise.likelihood import Motor, pieces
+from fiohost.noise.likelihood import Group, Motor, deviances, pieces
 from fiohost.noise.quantum import found_quantum
 from fiohost.noise.whiten import Whitener, is_white, unevenness
 
@@ -236,6 +236,7 @@ def test_a_sensor_with_neither_counts_nor_noise_has_a_torque_to_be_found(kind: i
     [
         (covariance.ANGLE, False),
         (covariance.SPEED, False),
+        (covariance.SPEED, True),
         (covariance.MEAN_SPEED, False),
         (covariance.MEAN_SPEED, True),
     ],
@@ -268,3 +269,33 @@ def test_innovations_are_what_the_covariance_whitens(kind: int, torque_pct: floa
     determinant = np.linalg.slogdet(inside)[1] + np.linalg.slogdet(starts.T @ starts)[1]
     assert whitener.log_determinant == pytest.approx(determinant, rel=1e-5)
     assert np.abs(whitener.apply(starts)).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("kind", "of_angle"), [(covariance.SPEED, True), (covariance.MEAN_SPEED, False), (covariance.MEAN_SPEED, True)]
+)
+@pytest.mark.parametrize("quantum", [0.0, 0.5])
+def test_the_likelihood_of_shared_errors_is_that_of_their_covariance(kind: int, of_angle: bool, quantum: float) -> None:
+    """Pieces of two lengths, of which some are louder: by the filter, and by the covariance outside their starts."""
+    rng = np.random.default_rng(21)
+    motor, time_s = Motor(10.0, 0.08, kind, quantum, 0.01, of_angle), 0.3
+    sensors, torques = np.array([0.3, 1.0]), np.array([0.0, 0.2, 3.0])
+    groups = [
+        Group(rng.standard_normal((n, 3)), motor, louder=louder) for n, louder in ((20, 1.0), (45, 1.0), (45, 2.0))
+    ]
+    expected = np.zeros((len(sensors), len(torques)))
+    for group in groups:
+        n = len(group.residuals)
+        times, moving = np.arange(n) * motor.step_s, covariance.Movement.steady(n, motor.tau_s)
+        free = covariance.outside(covariance.starts(times, moving, kind))
+        acts = covariance.response(times, moving, motor.gain, motor.tau_s, kind)
+        wanders = acts @ covariance.torque(times, time_s) @ acts.T
+        counted = covariance.counts(n, quantum, kind)
+        shared = 6.0 * covariance.counts(n, 1.0, covariance.MEAN_SPEED) if of_angle else np.eye(n)
+        left = free.T @ group.residuals
+        for i, sensor in enumerate(group.louder * sensors):
+            for j, torque in enumerate(torques):
+                inside = free.T @ (counted + sensor**2 * shared + torque**2 * wanders) @ free
+                expected[i, j] += 3.0 * np.linalg.slogdet(inside)[1] + np.sum(left * np.linalg.solve(inside, left))
+    (found,) = deviances(groups, [np.array([time_s]), sensors, torques[None, :]], 0.0)
+    assert found - found[0, 0] == pytest.approx(expected - expected[0, 0], rel=1e-4)
