@@ -19,8 +19,9 @@ from viscous import fitted_viscous
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.diagnose import diagnose_tables
-from fiohost.discover.tables.fit import LOOKS, Rows, fit_tables
+from fiohost.discover.tables.fit import Rows, fit_tables
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.tables.starts import fit_declared
 from fiohost.discover.tables.worth import Worth, left_out_rms, scatter_needed
 from fiohost.labs.constants import TEXT
@@ -75,7 +76,7 @@ def freed(case: Case) -> Worth:
     assert dry is not None
     model = replace(dry.model, fixed=dry.model.fixed - {"linear.gain_deg_s_per_pct", "linear.tau_s"})
     evidence = case.judged.diagnosis.evidence
-    found = fit_tables(evidence.rows, model, looks=LOOKS)
+    found = fit_tables(evidence.rows, model, looks=SETTINGS.looks)
     return Worth("dry friction, gain and lag", found, found.rms, left_out_rms(evidence, found))
 
 
@@ -257,7 +258,7 @@ def facts(data: Path, scratch: Path, cases: Sequence[Case]) -> dict[str, str]:
         "larger_span": f"{min(larger):.1f} to {max(larger):.1f}",
         "joint_steps": steps_table(one),
         "joint_walked": words.number(
-            left_out_rms(one.judged.diagnosis.evidence, one.judged.diagnosis.final.fit, looks=LOOKS), 3
+            left_out_rms(one.judged.diagnosis.evidence, one.judged.diagnosis.final.fit, looks=SETTINGS.looks), 3
         ),
         "joint_before": words.number(one.before, 3),
         "joint_after": words.number(one.after, 3),

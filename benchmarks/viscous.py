@@ -13,8 +13,9 @@ import numpy as np
 
 from fiohost.control.closed_loop import Plant
 from fiohost.discover.tables.evidence import Readings
-from fiohost.discover.tables.fit import LOOKS, TableFit, fit_tables
+from fiohost.discover.tables.fit import TableFit, fit_tables
 from fiohost.discover.tables.responses import Responses
+from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.tables.table import Constant, Figure, Row
 from fiohost.discover.tables.worth import Worth, left_out_rms
 from fiohost.labs.constants import MotorConstants
@@ -91,6 +92,6 @@ def fitted_viscous(table: Responses, model: Model, motor: MotorConstants, fallin
             evidence = seen(times * motor.B_Nms, extra)
             tried.append((evidence, fit_tables(evidence.rows, model, derive=False)))
     evidence, best = min(tried, key=lambda pair: pair[1].cost)
-    best = fit_tables(evidence.rows, model, constants=best.constants, looks=LOOKS)
+    best = fit_tables(evidence.rows, model, constants=best.constants, looks=SETTINGS.looks)
     name = "viscous friction falling with power" if falling else "viscous friction"
     return Worth(name, best, best.rms, left_out_rms(evidence, best))

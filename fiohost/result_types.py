@@ -120,7 +120,7 @@ class DiagnosisResult(TypedDict, total=False):
     searched_as: dict[str, object]
     declared: ModelResult
     verdict: Literal["no_missing_effect", "explained", "unexplained"]
-    explained_to: Literal["sensor", "noise", "repeatability"] | None
+    explained_to: Literal["sensor", "noise", "repeatability", "tolerance"] | None
     explained_pct: float | None
     left_pct: float | None
     tolerance_pct: float

@@ -296,6 +296,8 @@ def test_the_command_prints_writes_and_draws(static: tuple[Path, Result]) -> Non
     assert "Missing from linear: coulomb friction (these data cannot tell it from" in result.stdout
     found: dict[str, Any] = json.loads((folder / "f.json").read_text())
     assert found["schema"] == "fiohost.diagnosis/1"
+    assert found["settings"]["tables"]["looks"] > 0
+    assert found["settings"]["search"]["draws"] > 0
     assert found["output_unit"] == "floors"
     assert len(found["rows"]) == len(FORWARD)
     figure = found["rows"][-1]["figures"]["speed"]

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE = ROOT / "docs" / "reference" / "numbers.md"
 SOURCES = (
     "fiohost/discover/settings.py",
+    "fiohost/discover/tables/settings.py",
     "fiohost/judging/settings.py",
     "fiohost/discover/degenerate.py",
     "fiohost/discover/logs/own_start.py",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,11 @@ from fiohost.discover.settings import SETTINGS
 from fiohost.discover.step import Found
 from fiohost.discover.tables.evidence import Readings, TableStage
 from fiohost.discover.tables.fit import Rows, TableFit
+from fiohost.discover.tables.settings import SETTINGS as TABLES
 from fiohost.discover.tables.table import Table
 from fiohost.errors import DataError
 from fiohost.estimation.intervals import Estimate
 from fiohost.motor.model import Model
-
-STANDS_OUT = 2.0  # floors: a figure this far off on the whole is part of what remains
 
 
 @dataclass(frozen=True)
@@ -92,6 +91,7 @@ class TableDiagnosis:
                 "from": "replicas",
                 "replicas": SETTINGS.floor.replicas,
             },
+            "settings": {"search": asdict(SETTINGS), "tables": asdict(TABLES)},
             "fitted_parameters": self.evidence.parameter_count(final.fit),
             "rows": self._rows(),
             "candidates": [
@@ -136,7 +136,7 @@ class TableDiagnosis:
 
     def _standing_out(self) -> list[str]:
         by_figure = self._by_figure(self.found.final)
-        return [n for n in sorted(by_figure, key=lambda n: -by_figure[n]) if by_figure[n] > STANDS_OUT]
+        return [n for n in sorted(by_figure, key=lambda n: -by_figure[n]) if by_figure[n] > TABLES.stands_out]
 
     def _constants(self, fitted: TableFit) -> dict[str, Any]:
         """What was fitted of the benches themselves."""

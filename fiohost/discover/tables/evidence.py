@@ -13,8 +13,8 @@ from fiohost.discover.evidence import Evidence, State
 from fiohost.discover.null import Decided, Null
 from fiohost.discover.score import Gain, at_a_bound
 from fiohost.discover.tables.fit import Rows, TableFit, fit_tables, shown_by_one_row, without_row
+from fiohost.discover.tables.settings import SETTINGS as TABLES
 from fiohost.discover.tables.starts import (
-    ENOUGH,
     downhill,
     fit_anew,
     fit_declared,
@@ -27,13 +27,6 @@ from fiohost.judging.levels import levels_of
 from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
 from fiohost.workers import each
-
-# Those that come so much farther from the data than the best are not fitted to the end, or not cross-validated.
-FAR, HOPELESS = 12.0, 4.0
-# Left-out squared errors this close to the floor are as good as it gets.
-AT_FLOOR = 1.1
-# Evaluations of a fit to a replica.
-REFIT = 6
 
 
 @dataclass(frozen=True)
@@ -97,7 +90,13 @@ class Readings(Evidence[TableStage]):
         noises = [self.rows.noise(self.rng) for _ in range(self.settings.floor.replicas)]
 
         def again(noise: Sequence[np.ndarray]) -> TableFit:
-            return fit_tables(self.rows, fitted.model, constants=fitted.constants, noise=noise, evaluations=REFIT)
+            return fit_tables(
+                self.rows,
+                fitted.model,
+                constants=fitted.constants,
+                noise=noise,
+                evaluations=TABLES.of_a_replica,
+            )
 
         fits = each(again, noises)
         errors = np.array([f.rms for f in fits])
@@ -121,7 +120,7 @@ class Readings(Evidence[TableStage]):
 
     def as_good(self, state: State, best: State) -> bool:
         left = np.concatenate(self.left_out(self.fitted(state)))
-        at_floor = float(left @ left) <= AT_FLOOR * self.rows.samples
+        at_floor = float(left @ left) <= TABLES.at_floor * self.rows.samples
         return at_floor or state is best or not self.gain(state, best).sure(self.settings)
 
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
@@ -190,22 +189,22 @@ class TablesBeside:
         rows = self.readings.rows
         starts = each(lambda item: held(rows, self.base, item), offered)
         fits: list[TableFit | None] = [found[0] if found else None for found in starts]
-        ways = [(i, start) for i in self._near(fits, FAR) for start in starts[i]]
+        ways = [(i, start) for i in self._near(fits, TABLES.far) for start in starts[i]]
         for (i, _), fitted in zip(ways, each(lambda way: downhill(rows, way[1]), ways), strict=True):
             best = fits[i]
             fits[i] = fitted if best is None or fitted.cost < best.cost else best
 
-        kept = [(i, found) for i in self._near(fits, FAR) if (found := fits[i]) is not None]
+        kept = [(i, found) for i in self._near(fits, TABLES.far) if (found := fits[i]) is not None]
         carried = each(partial(to_the_end, rows), [found for _, found in kept])
         for (i, _), fitted in zip(kept, carried, strict=True):
             fits[i] = fitted
-        if not rival and min(self._costs(fits)) > ENOUGH * rows.samples:
+        if not rival and min(self._costs(fits)) > TABLES.enough * rows.samples:
             say("none comes to the floor: beginning anew with each of them")
             shown = [i for i, fitted in enumerate(fits) if fitted is not None]
             for i, fitted in zip(shown, each(lambda i: fit_anew(rows, self.base, offered[i]), shown), strict=True):
                 fits[i] = min(fitted, fits[i] or fitted, key=lambda f: f.cost)
         self.fits = {item.name: fitted for item, fitted in zip(offered, fits, strict=True)}
-        last = [(offered[i], fits[i]) for i in self._near(fits, HOPELESS)]
+        last = [(offered[i], fits[i]) for i in self._near(fits, TABLES.hopeless)]
         self.best = [(item, self.readings.state(f)) for item, f in last if f is not None and f.jacobians]
         return self.best
 

@@ -14,19 +14,11 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 from fiohost.control.closed_loop import Plant
+from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.tables.table import Constant, Figure, Row, Table
 from fiohost.estimation.fit import Fit
 from fiohost.estimation.solver import project
 from fiohost.motor.model import Model, slot
-
-# Figures jump where a response enters another band, so differences are taken wider than for the samples of a log.
-WIDER, CONSTANT_STEP = 100.0, 1e-4
-# Evaluations of a fit: to the end, from a neighbour.
-FULL, AGAIN = 40, 6
-# A simplex takes so many looks, and begins so many times as wide as the error is worth, at most this share of a value.
-LOOKS, REACH, MOST_REACH = 120, 0.5, 0.2
-FAR_OFF = 1e9  # floors, in place of what is not finite
-SEEN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ class TableFit(Fit):
     def seen(self) -> np.ndarray:
         """Which parameters (k) change the figures at all."""
         columns = np.vstack(self.jacobians) if self.jacobians else np.empty((0, len(self.names)))
-        return np.asarray(np.linalg.norm(columns, axis=0) > SEEN)
+        return np.asarray(np.linalg.norm(columns, axis=0) > SETTINGS.seen)
 
 
 @dataclass(frozen=True)
@@ -94,7 +86,7 @@ class Rows:
 
     def in_floors(self, place: Place, predicted: Mapping[str, float]) -> np.ndarray:
         values = (predicted[f.name] / f.floor for f in self.figures(place))
-        return np.array([v if isfinite(v) else (-FAR_OFF if v < 0.0 else FAR_OFF) for v in values])
+        return np.array([v if isfinite(v) else (-SETTINGS.far_off if v < 0.0 else SETTINGS.far_off) for v in values])
 
 
 def squares(left: np.ndarray) -> float:
@@ -114,10 +106,10 @@ class _Problem:
         constants = [data.constant(which) for which in data.fitted]
         self.lower = np.array([*(q.lower for q in parameters), *(c.lower for c in constants)])
         self.upper = np.array([*(q.upper for q in parameters), *(c.upper for c in constants)])
-        self.steps = np.array([*(q.step for q in parameters), *(CONSTANT_STEP for _ in constants)])
+        self.steps = np.array([*(q.step for q in parameters), *(SETTINGS.constant_step for _ in constants)])
         relative = [q.relative_step for q in parameters]
         self.relative = np.array([*relative, *(c.upper > 1.0 for c in constants)], dtype=np.bool_)
-        self.steps[: len(parameters)][np.array(relative, dtype=np.bool_)] *= WIDER
+        self.steps[: len(parameters)][np.array(relative, dtype=np.bool_)] *= SETTINGS.wider
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def split(self, x: np.ndarray) -> tuple[Plant, list[list[float]]]:
@@ -157,7 +149,7 @@ class _Problem:
         """Which numbers of a vector the figures show at all, and the vector with these replaced: the others stay, as
         no step along them is known.
         """
-        seen = np.linalg.norm(self.columns(x), axis=0) > SEEN
+        seen = np.linalg.norm(self.columns(x), axis=0) > SETTINGS.seen
 
         def whole(v: np.ndarray) -> np.ndarray:
             out = x.copy()
@@ -207,8 +199,8 @@ class _Problem:
         if not seen.any():
             return x
         reach = np.linalg.norm(self.columns(x), axis=0)
-        size = REACH * np.sqrt(squares(self.values(x) - measured) + len(measured)) / np.maximum(reach, 1e-12)
-        size = np.minimum(size, np.maximum(MOST_REACH * np.abs(x), self.steps))
+        size = SETTINGS.reach * np.sqrt(squares(self.values(x) - measured) + len(measured)) / np.maximum(reach, 1e-12)
+        size = np.minimum(size, np.maximum(SETTINGS.most_reach * np.abs(x), self.steps))
         size = np.where(x + size > self.upper, -size, size)[seen]
 
         def left(v: np.ndarray) -> float:
@@ -241,7 +233,7 @@ def fit_tables(
     *,
     constants: Sequence[Sequence[float]] | None = None,
     noise: Sequence[np.ndarray] | None = None,
-    evaluations: int = FULL,
+    evaluations: int = SETTINGS.evaluations,
     looks: int = 0,
     jumps: float = 0.0,
     derive: bool = True,
@@ -263,7 +255,7 @@ def fit_tables(
         x = problem.solve(x, np.concatenate(measured), evaluations, jumps)
     if looks:
         x = problem.settle(x, np.concatenate(measured), looks)
-        x = problem.solve(x, np.concatenate(measured), AGAIN)
+        x = problem.solve(x, np.concatenate(measured), SETTINGS.nearby)
     return _fit_at(problem, x, measured, derive)
 
 
@@ -305,7 +297,7 @@ def without_row(data: Rows, fitted: TableFit, row: int, looks: int = 0) -> np.nd
     rest = [i for i in range(len(data)) if i != row]
     problem = _Problem(data, fitted.model, rest)
     measured = np.concatenate([data.measured(data.places[i]) for i in rest])
-    x = problem.solve(vector(data, fitted.model, fitted.constants), measured, AGAIN)
+    x = problem.solve(vector(data, fitted.model, fitted.constants), measured, SETTINGS.nearby)
     if looks:
         x = problem.settle(x, measured, looks)
     plant, constants = problem.split(x)
@@ -319,5 +311,5 @@ def shown_by_one_row(fitted: TableFit, name: str) -> bool:
     """
     own = [j for j, key in enumerate(fitted.names) if key.partition(".")[0] == name]
     sizes = [j for j in own if fitted.model.parameter(fitted.names[j]).neutral is not None]
-    changed = [sum(np.linalg.norm(columns[:, j]) > SEEN for columns in fitted.jacobians) for j in sizes or own]
+    changed = [sum(np.linalg.norm(columns[:, j]) > SETTINGS.seen for columns in fitted.jacobians) for j in sizes or own]
     return bool(own) and all(rows <= 1 for rows in changed)

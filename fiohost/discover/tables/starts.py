@@ -12,21 +12,11 @@ from itertools import product
 
 import numpy as np
 
-from fiohost.discover.tables.fit import LOOKS, Rows, TableFit, deviations, fit_tables, squares
+from fiohost.discover.tables.fit import Rows, TableFit, deviations, fit_tables, squares
+from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.trials import varied
 from fiohost.motor.effect import Effect, Value
 from fiohost.motor.model import Model
-
-POINTS, BEST = 24, 2
-HELD, FREE = 3, 8  # evaluations of a fit with the effect's sizes held, and of all
-SPREAD = 0.5  # logarithm of how far from a trial a size may be
-JUMP_FLOORS = 10.0
-GAINS = np.geomspace(0.5, 500.0, 13)
-LAGS_S = (0.02, 0.05, 0.1, 0.2, 0.5)
-OTHERS = (0.4, 1.0, 2.5)  # times what the library has of sizes beside these
-STARTS = 4
-ENOUGH = 2.0  # squared floors a figure: no other start is asked
-TRACE_FLOORS = 1e-3
 
 
 def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
@@ -39,7 +29,7 @@ def spread(model: Model, keys: Sequence[str], points: int) -> list[Model]:
     for i in range(points):
         moved = model
         for key, at in zip(keys, (0.5 + i * steps) % 1.0, strict=True):
-            moved = scaled(moved, [key], float(np.exp((2.0 * at - 1.0) * SPREAD)))
+            moved = scaled(moved, [key], float(np.exp((2.0 * at - 1.0) * SETTINGS.spread)))
         found.append(moved)
     return found
 
@@ -67,47 +57,56 @@ def held(data: Rows, base: TableFit, item: Effect) -> list[TableFit]:
     given = [*item.trials, *_with_starts(item)]
     trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
-    if max(np.abs(deviations(data, m, base.constants) - before).max() for m in trials) <= TRACE_FLOORS:
+    if max(np.abs(deviations(data, m, base.constants) - before).max() for m in trials) <= SETTINGS.trace:
         return []
     own = [f"{item.name}.{q.name}" for q in item.parameters]
     sizes = [k for k in trials[0].free() if k in own]
 
     def beside(model: Model) -> TableFit:
         fixed = replace(model, fixed=model.fixed | set(own))
-        return fit_tables(data, fixed, constants=base.constants, evaluations=HELD, derive=False)
+        return fit_tables(data, fixed, constants=base.constants, evaluations=SETTINGS.held, derive=False)
 
     def best_around(model: Model) -> TableFit:
-        more = spread(model, sizes, max(POINTS // len(trials), 1) - 1) if sizes else []
+        more = spread(model, sizes, max(SETTINGS.points // len(trials), 1) - 1) if sizes else []
         found = min((beside(m) for m in (model, *more)), key=lambda f: f.cost)
         return replace(found, model=replace(found.model, fixed=model.fixed))
 
     found = [best_around(model) for model in trials]
     order = varied(item, [dict(t) for t in given], sorted(range(len(trials)), key=lambda i: found[i].cost))
-    return [found[i] for i in order[:BEST]]
+    return [found[i] for i in order[: SETTINGS.best]]
 
 
 def downhill(data: Rows, start: TableFit) -> TableFit:
     """A start followed down, then past the jump of single figures, then down again; the best of the way."""
     found = [start]
-    for jumps in (0.0, JUMP_FLOORS, 0.0):
+    for jumps in (0.0, SETTINGS.jump, 0.0):
         last = found[-1]
         found.append(
-            fit_tables(data, last.model, constants=last.constants, evaluations=FREE, jumps=jumps, derive=False)
+            fit_tables(
+                data,
+                last.model,
+                constants=last.constants,
+                evaluations=SETTINGS.all_free,
+                jumps=jumps,
+                derive=False,
+            )
         )
     return min(found, key=lambda f: f.cost)
 
 
 def to_the_end(data: Rows, near: TableFit) -> TableFit:
     """A fit carried to its minimum."""
-    return fit_tables(data, near.model, constants=near.constants, looks=LOOKS)
+    return fit_tables(data, near.model, constants=near.constants, looks=SETTINGS.looks)
 
 
 def _grid(model: Model) -> list[Model]:
     """Copies of a model over all gains and lags, its other sizes smaller and larger together."""
     keys = ("linear.gain_deg_s_per_pct", "linear.tau_s")
-    gains: Sequence[Value] = GAINS.tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
-    lags: Sequence[Value] = LAGS_S if keys[1] not in model.fixed else [model.values[keys[1]]]
-    others = [scaled(model, [k for k in model.free() if k not in keys], times) for times in OTHERS]
+    gains: Sequence[Value] = (
+        np.geomspace(*SETTINGS.gains).tolist() if keys[0] not in model.fixed else [model.values[keys[0]]]
+    )
+    lags: Sequence[Value] = SETTINGS.lags_s if keys[1] not in model.fixed else [model.values[keys[1]]]
+    others = [scaled(model, [k for k in model.free() if k not in keys], times) for times in SETTINGS.others]
     return [m.with_values({keys[0]: gain, keys[1]: lag}) for m, gain, lag in product(others, gains, lags)]
 
 
@@ -117,13 +116,13 @@ def _best_of(data: Rows, starts: Sequence[Model], constants: Sequence[Sequence[f
     for start in starts:
         near = downhill(data, fit_tables(data, start, constants=constants, evaluations=0, derive=False))
         found.append(to_the_end(data, near))
-        if found[-1].cost <= ENOUGH * data.samples:
+        if found[-1].cost <= SETTINGS.enough * data.samples:
             break
     return min(found, key=lambda f: f.cost)
 
 
 def _closest(data: Rows, models: Sequence[Model], constants: Sequence[Sequence[float]]) -> list[Model]:
-    return sorted(models, key=lambda m: squares(deviations(data, m, constants)))[:STARTS]
+    return sorted(models, key=lambda m: squares(deviations(data, m, constants)))[: SETTINGS.starts]
 
 
 def fit_declared(data: Rows, model: Model, *, keep_start: bool) -> TableFit:
@@ -142,4 +141,4 @@ def fit_anew(data: Rows, base: TableFit, item: Effect) -> TableFit:
     plain = base.model.with_values({key: base.model.parameter(key).start for key in base.model.free()})
     best = [_closest(data, _grid(plain.with_effect(item.name, trial)), base.constants) for trial in item.trials]
     ranked = [model for rank in zip(*best, strict=True) for model in _closest(data, rank, base.constants)]
-    return _best_of(data, ranked[:STARTS], base.constants)
+    return _best_of(data, ranked[: SETTINGS.starts], base.constants)

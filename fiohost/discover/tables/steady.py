@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fiohost.control.closed_loop import Plant
+from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.tables.table import Constant, Figure, Row
 from fiohost.motor.compiled import compiled
 from fiohost.motor.effect import effects, layout
@@ -24,11 +25,8 @@ from fiohost.motor.hooks import PERIOD, command
 from fiohost.motor.simulate import Excitation, run
 from fiohost.motor.state import DRIVE, GAIN, OMEGA, STATE_SIZE, TAU, THETA
 
-# The kernel locates so many events a step that one of this length never runs out of them.
-STEP_S = 0.05
 # A command that acted before the first sample, and drives all along.
 SINCE, DRIVEN = np.array([-1.0]), np.full(2, DRIVE, dtype=np.int64)
-LAGS = 25.0
 LOAD_ON, LOAD = list(effects()).index("constant_load"), layout()["constant_load"]
 STALL_CURRENT, STALL_TORQUE, VISCOUS_SHARE = range(3)
 CONSTANTS = (
@@ -73,21 +71,21 @@ def loaded(plant: Plant, load_pct: float) -> Plant:
 
 @cache
 def _times(samples: int) -> np.ndarray:
-    return np.arange(samples) * STEP_S
+    return np.arange(samples) * SETTINGS.step_s
 
 
 def operate(plant: Plant, duty_pct: float, settle_s: float, average_s: float) -> Operation:
     """Means over ``average_s`` after ``settle_s`` of a constant duty, from rest."""
-    before, after = max(round(settle_s / STEP_S), 1), max(round(average_s / STEP_S), 1)
+    before, after = max(round(settle_s / SETTINGS.step_s), 1), max(round(average_s / SETTINGS.step_s), 1)
     p = plant.p.copy()
-    p[TAU] = min(p[TAU], settle_s / LAGS)  # a motor that has not settled is no steady point, whatever its lag
+    p[TAU] = min(p[TAU], settle_s / SETTINGS.lags)  # a motor that has not settled is no steady point, whatever its lag
     times = _times(before + after + 1)
     excitation = Excitation(times, SINCE, np.array([duty_pct, duty_pct]), DRIVEN)
     states = run(excitation, p, plant.on, plant.substep_s, np.zeros(STATE_SIZE))[before:]
     currents = np.empty(len(states))
     _currents(states, times[before:], duty_pct, p, plant.on, currents)
     return Operation(
-        float(states[-1, THETA] - states[0, THETA]) / (after * STEP_S), float(currents.sum()) / len(currents)
+        float(states[-1, THETA] - states[0, THETA]) / (after * SETTINGS.step_s), float(currents.sum()) / len(currents)
     )
 
 
