@@ -17,7 +17,8 @@ import numpy as np
 from fiohost.estimation.fit import fit
 from fiohost.estimation.predict import Flat, free_output
 from fiohost.estimation.record import Record, make_record
-from fiohost.estimation.solver import ALONG_TANGENT, Point, Problem
+from fiohost.estimation.settings import SETTINGS
+from fiohost.estimation.solver import Point, Problem
 from fiohost.estimation.starts import first_starts
 from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
@@ -67,7 +68,7 @@ def main() -> None:
 
     records = [record_of(dry, rng)]
     off = dry.with_values({k: 1.2 * v for k, v in DRY.items()})
-    ways = [partial(fit, off, records, windows=True, tolerance=t) for t in (2.0 * ALONG_TANGENT, 1e-6)]
+    ways = [partial(fit, off, records, windows=True, tolerance=t) for t in (2.0 * SETTINGS.along_tangent, 1e-6)]
     near, exact = (1e3 * best_of(way) for way in ways)
     print(f"fit along the tangent {near:.0f} ms, finished with exact derivatives {exact:.0f} ms;", end=" ")
     print("rms {:.5f} and {:.5f} deg".format(*(way().rms for way in ways)))

@@ -54,6 +54,7 @@ def test_a_noisy_bench_that_lacks_nothing_is_explained_to_within_its_noise(tmp_p
     assert "to within the noise" in verdict_sentence(told)
     assert "sensor noise of 0.5" in verdict_sentence(told)
     assert told["settings"]["search"]["draws"] > 0
+    assert told["settings"]["fit"]["start"]["zero_looks"] > 0
 
 
 def test_beside_more_noise_than_any_bench_has_what_windows_show_plainly_is_told(

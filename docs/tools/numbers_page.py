@@ -17,6 +17,7 @@ SOURCES = (
     "fiohost/discover/degenerate.py",
     "fiohost/discover/logs/own_start.py",
     "fiohost/noise/settings.py",
+    "fiohost/estimation/settings.py",
     "fiohost/estimation/stamps.py",
     "fiohost/estimation/counted.py",
 )

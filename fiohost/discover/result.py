@@ -12,6 +12,7 @@ from fiohost.discover.logs.own_start import pooled as pooled_own
 from fiohost.discover.settings import SETTINGS as SEARCH
 from fiohost.estimation.counted import SETTINGS as COUNTS
 from fiohost.estimation.intervals import Estimate
+from fiohost.estimation.settings import SETTINGS as FIT
 from fiohost.estimation.stamps import SETTINGS as STAMPS
 from fiohost.judging.metrics import Errors, pool
 from fiohost.judging.stage import Stage
@@ -156,6 +157,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "stamps": asdict(STAMPS),
             "counts": asdict(COUNTS),
             "search": asdict(SEARCH),
+            "fit": asdict(FIT),
             "own_start": asdict(found.own_settings),
         },
         "clock": "logs one after the other" if found.one_clock else "as the logs say",

@@ -8,9 +8,7 @@ from itertools import pairwise
 
 from fiohost.errors import DataError
 from fiohost.estimation.record import Record
-
-# What a shaft was turning with at the end of a record is the slope over so many samples.
-LAST_SAMPLES = 10
+from fiohost.estimation.settings import SETTINGS
 
 
 def pwm_of(records: Sequence[Record]) -> float:
@@ -74,7 +72,7 @@ def on_turn(record: Record, turns: int) -> Record:
 
 def _turns(last: Record, record: Record) -> int:
     """How many turns the shaft was on when a record began, after the ``last``."""
-    times = last.excitation.times_s[-LAST_SAMPLES:]
+    times = last.excitation.times_s[-SETTINGS.start.last_samples :]
     speed = float(last.y[-1] - last.y[-len(times)]) / float(times[-1] - times[0])
     goes = speed * (record.excitation.clock_s - last.excitation.clock_s - last.seconds)
     # Slowed evenly it goes half as far.

@@ -15,13 +15,11 @@ from threadpoolctl import threadpool_limits
 
 from fiohost.errors import DataError
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.settings import SETTINGS
 from fiohost.estimation.solver import Point, Problem, solve
 from fiohost.estimation.starts import first_starts, taken_up_play, with_origins
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
-
-MAX_ITERATIONS = 40
-PLAY_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def fit(
     *,
     windows: bool = False,
     starts: Sequence[Start] | None = None,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = SETTINGS.max_iterations,
     tolerance: float = 1e-7,
     lash: bool = True,
     zeros: bool = True,
@@ -92,7 +90,7 @@ def fit(
     )
     point = Point(model.vector(), given)
     solved = solve(problem, point, max_iterations, tolerance)
-    for _ in range(PLAY_ROUNDS if lash and not windows else 0):
+    for _ in range(SETTINGS.play_rounds if lash and not windows else 0):
         point = solved.point
         play = taken_up_play(problem.flat(point.p), records, point.starts)
         if play == point.starts:

@@ -10,28 +10,11 @@ from scipy.optimize import minimize, minimize_scalar
 
 from fiohost.estimation.predict import Flat, errors, fitted_windows, some_windows, squared
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.settings import SETTINGS
 from fiohost.motor.simulate import Start, start_state
 from fiohost.motor.state import GAP, SHARE, SMALLEST_SHARE
 
-# Where a motor may stand in its gap, and how fast a load of its own inertia may drift there, in gaps per second: after
-# a sudden stop it goes on from wall to wall.
-PLAYS = (0.0, -1.0, 1.0, -0.5, 0.5)
-MORE_PLAYS = (-0.75, -0.25, 0.25, 0.75)
-DRIFTS = (-3.0, -1.0, -0.3, 0.3, 1.0, 3.0)
-LASH_LOOKS = 40
-LASH_SIMPLEX = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
-# Up to this span of the residual the midpoint of its bounds says best where within its count a shaft stood.
-WITHIN_COUNTS = 1.5
-# Warmth is looked for at so many levels, then as near by windows and as close by whole runs as this.
-WARMTH_LOOKS, WARMTH_NEAR, WARMTH_CLOSE = 9, 0.02, 1e-4
-# By so much further where what is least lies at an end.
-WARMTH_FURTHER = 4.0
-# Every so many windows are enough to come near.
-WARMTH_EVERY = 3
-# A log's own zero: angles looked at for each period, windows looked at, the motion that makes a window worth it.
-ZERO_LOOKS, ZERO_WINDOWS, ZERO_MOTION_COUNTS = 6, 20, 4.0
-# Around the best of them, in degrees of the phase: how far, from near, how close, and the most looks there.
-ZERO_REACH, ZERO_NEAR, ZERO_CLOSE, ZERO_MORE = 45.0, 10.0, 0.2, 16
+BEGINNING = SETTINGS.start
 
 
 def initial_guess(record: Record, y: np.ndarray) -> tuple[float, float]:
@@ -53,10 +36,14 @@ def best_lash(flat: Flat, cost: Callable[[float, float], float]) -> tuple[float,
     if not flat.gap:
         return 0.0, 0.0
     gap = float(flat.p[GAP])
-    tried = {(play, 0.0): cost(play, 0.0) for play in PLAYS}
+    tried = {(play, 0.0): cost(play, 0.0) for play in BEGINNING.plays}
     drifts = flat.p[SHARE] >= SMALLEST_SHARE
     if drifts:
-        tried |= {(play, d * gap): cost(play, d * gap) for play in (*PLAYS, *MORE_PLAYS) for d in DRIFTS}
+        tried |= {
+            (play, d * gap): cost(play, d * gap)
+            for play in (*BEGINNING.plays, *BEGINNING.more_plays)
+            for d in BEGINNING.drifts
+        }
     best = min(tried, key=lambda at: tried[at])
 
     if not drifts:
@@ -70,7 +57,10 @@ def best_lash(flat: Flat, cost: Callable[[float, float], float]) -> tuple[float,
         lambda x: cost(float(np.clip(x[0], -1.0, 1.0)), float(x[1]) * gap),
         begin,
         method="Nelder-Mead",
-        options={"initial_simplex": begin + LASH_SIMPLEX, "maxfev": LASH_LOOKS},
+        options={
+            "initial_simplex": begin + np.vstack((np.zeros(2), np.diag(BEGINNING.lash_steps))),
+            "maxfev": BEGINNING.lash_looks,
+        },
     )
     if plane.fun >= tried[best] * 0.999:
         return best
@@ -98,9 +88,9 @@ def _look_windows(record: Record, angles: np.ndarray) -> tuple[np.ndarray, np.nd
     moving = [
         (int(a), int(b))
         for a, b in zip(edges[:-1], edges[1:], strict=True)
-        if float(np.ptp(angles[a:b])) > ZERO_MOTION_COUNTS * count
+        if float(np.ptp(angles[a:b])) > BEGINNING.zero_motion_counts * count
     ]
-    chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), ZERO_WINDOWS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), BEGINNING.zero_windows)).round().astype(int))
     speeds = []
     for a, b in (moving[i] for i in chosen):
         early = slice(a, min(a + max(5, (b - a) // 20), b))
@@ -133,20 +123,20 @@ def find_zero(
         return float(residuals @ residuals), own
 
     if near is None:
-        looks = ZERO_LOOKS * (fastest // once)
+        looks = BEGINNING.zero_looks * (fastest // once)
         zeros = [360.0 / once * i / looks for i in range(looks)]
     else:
         zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
     best = min(zeros, key=lambda zero: looked_at(zero)[0]) if len(zeros) > 1 else zeros[0]
     if not closely:
         return best
-    reach = (ZERO_REACH if near is None else ZERO_NEAR) / fastest
+    reach = (BEGINNING.zero_reach_deg if near is None else BEGINNING.zero_near_deg) / fastest
     least, columns = looked_at(best)
     found = minimize_scalar(
         lambda zero: looked_at(zero, columns)[0],
         bounds=(best - reach, best + reach),
         method="bounded",
-        options={"xatol": ZERO_CLOSE / fastest, "maxiter": ZERO_MORE},
+        options={"xatol": BEGINNING.zero_close_deg / fastest, "maxiter": BEGINNING.zero_more},
     )
     zero = float(found.x) if found.fun < least else best
     return (zero + 180.0) % 360.0 - 180.0
@@ -188,7 +178,7 @@ def _first_second(record: Record, flat: Flat, y: np.ndarray, warmth: float) -> S
     play, drift = best_lash(flat, cost)
     residuals, shifts, speeds = attempt(play, drift)
     found = angle + float(shifts[0])
-    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= WITHIN_COUNTS * record.quantum:
+    if record.kind == ANGLE and 0.0 < float(np.ptp(residuals)) <= BEGINNING.within_counts * record.quantum:
         found += 0.5 * float(residuals.max() + residuals.min())
     return Start(found, float(speeds[0]), play, drift, warmth)
 
@@ -211,13 +201,13 @@ def initial_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray, near
     sharp = _in_windows(record, flat, start, y, 1) if windows_alone else in_whole
     if near is not None:
         return _around(sharp, near)
-    looks = np.linspace(0.0, 1.0, WARMTH_LOOKS)
-    by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, WARMTH_NEAR)
+    looks = np.linspace(0.0, 1.0, BEGINNING.warmth_looks)
+    by_windows = _least(_in_windows(record, flat, start, y), 0.0, 1.0, BEGINNING.warmth_near)
     if windows_alone:
         return _around(sharp, by_windows)
     near = min((by_windows, *looks.tolist()), key=in_whole)
-    reach = WARMTH_NEAR if near == by_windows else float(looks[1])
-    return _least(in_whole, max(near - reach, 0.0), min(near + reach, 1.0), WARMTH_CLOSE)
+    reach = BEGINNING.warmth_near if near == by_windows else float(looks[1])
+    return _least(in_whole, max(near - reach, 0.0), min(near + reach, 1.0), BEGINNING.warmth_close)
 
 
 def guessed_warmth(record: Record, flat: Flat, start: Start, y: np.ndarray) -> float:
@@ -239,23 +229,23 @@ def _parabola(cost: Callable[[float], float], low: float, high: float) -> tuple[
 
 def _around(cost: Callable[[float], float], near: float) -> float:
     """Where a cost by warmth is least around a level; ever further from it while it is least at an end."""
-    reach = WARMTH_NEAR
+    reach = BEGINNING.warmth_near
     while True:
         low, high = max(near - reach, 0.0), min(near + reach, 1.0)
         found = _bottom(cost, low, high)
         if low < found < high or found in (0.0, 1.0):
             return found
-        reach *= WARMTH_FURTHER
+        reach *= BEGINNING.warmth_further
 
 
 def _bottom(cost: Callable[[float], float], low: float, high: float) -> float:
     """Where a cost that is smooth between two near ends is least; by looks along the line where it is not."""
     found, seen = _parabola(cost, low, high)
-    return found if cost(found) <= seen else _least(cost, low, high, WARMTH_CLOSE)
+    return found if cost(found) <= seen else _least(cost, low, high, BEGINNING.warmth_close)
 
 
 def _in_windows(
-    record: Record, flat: Flat, start: Start, y: np.ndarray, every: int = WARMTH_EVERY
+    record: Record, flat: Flat, start: Start, y: np.ndarray, every: int = BEGINNING.warmth_every
 ) -> Callable[[float], float]:
     """Squared error of one-second windows of output ``y`` (n), ``every`` so many of them, by warmth."""
     every = min(every, len(record.windows) - 1)
@@ -268,7 +258,7 @@ def _in_windows(
 
 def _least(cost: Callable[[float], float], low: float, high: float, xatol: float) -> float:
     """Where a cost is least between two ends: the best of some looks, then along the line around it."""
-    looks = np.linspace(low, high, WARMTH_LOOKS)
+    looks = np.linspace(low, high, BEGINNING.warmth_looks)
     costs = [cost(float(w)) for w in looks]
     best = int(np.argmin(costs))
     bounds = (float(looks[max(best - 1, 0)]), float(looks[min(best + 1, len(looks) - 1)]))

@@ -18,12 +18,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from fiohost.estimation.fit import Fit
+from fiohost.estimation.settings import SETTINGS
 from fiohost.motor.effect import effect
 from fiohost.motor.model import Model
 from fiohost.noise.runs import FRICTION, FRICTIONS, GAIN, LOAD, LOAD_EFFECT, NO_SCATTER, RunToRun
-
-BLOCK_SAMPLES = 200
-NEAR_SINGULAR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -60,8 +58,8 @@ def sandwich(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]) -
     blocks = 0
     for residual, columns in zip(residuals, jacobians, strict=True):
         hessian += columns.T @ columns
-        for a in range(0, len(residual), BLOCK_SAMPLES):
-            g = columns[a : a + BLOCK_SAMPLES].T @ residual[a : a + BLOCK_SAMPLES]
+        for a in range(0, len(residual), SETTINGS.block_samples):
+            g = columns[a : a + SETTINGS.block_samples].T @ residual[a : a + SETTINGS.block_samples]
             spread += np.outer(g, g)
             blocks += 1
     scale = np.sqrt(np.maximum(np.diag(hessian), 0.0))
@@ -72,7 +70,7 @@ def sandwich(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]) -
         index = np.flatnonzero(seen)
         scaled = hessian[np.ix_(index, index)] / np.outer(scale[index], scale[index])
         values, vectors = np.linalg.eigh(scaled)
-        weak = values < NEAR_SINGULAR
+        weak = values < SETTINGS.near_singular
         inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T
         determined[index] = ~np.any(np.abs(vectors[:, weak]) > 0.1, axis=1) if weak.any() else True
         correction = blocks / max(blocks - len(index), 1)
@@ -96,7 +94,7 @@ def between_runs(fit: Fit, which: Sequence[int]) -> np.ndarray:
     hessian = sum(columns.T @ columns for columns in jacobians)
     pulls = np.array([c.T @ r for c, r in zip(jacobians, fit.residuals, strict=True)])  # (runs, k)
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=NEAR_SINGULAR, hermitian=True)
+    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=SETTINGS.near_singular, hermitian=True)
     moves = (pulls / scale) @ inverse / scale
     deviation = np.sqrt(runs / (runs - 1.0) * (moves**2).sum(axis=0))
     return np.asarray(stdtrit(runs - 1, 0.975) * deviation)

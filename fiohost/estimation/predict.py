@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fiohost.estimation.record import ANGLE, Record, one_by_one
+from fiohost.estimation.settings import SETTINGS
 from fiohost.estimation.windows import fit_windows, read_output
 from fiohost.motor.effect import effect, effects
 from fiohost.motor.model import Model, slot
@@ -40,13 +41,6 @@ BY_TIME = [
     for q in item.parameters
     if item.warms and "time" in q.choices
 ]
-
-# A shaft may stand so far beyond an end of travel, for want of a finer sensor; and an end is not known to better than
-# some degrees where noise tells when the shaft came to it.
-END_SLACK_COUNTS, END_SLACK_DEG = 3.0, 5.0
-
-# Of a run that is looked at in fewer than one of so many windows, nothing is kept between them.
-SPARSE = 4
 
 
 @cache
@@ -157,7 +151,7 @@ def free_states(
 def window_states(record: Record, flat: Flat, start: Start) -> np.ndarray:
     """States (m, STATE_SIZE) of a free run where the windows that are looked at begin."""
     firsts, ex = record.looked_at[0], record.excitation
-    if SPARSE * len(firsts) >= len(record.windows):
+    if SETTINGS.sparse * len(firsts) >= len(record.windows):
         return begin_windows(record, free_states(record, flat, start))
     # The first window of a record is always looked at, so this run begins where the whole one does.
     return free_states(record, flat, start, excitation=replace(ex, times_s=ex.times_s[firsts]))
@@ -176,7 +170,7 @@ def turned_deg(record: Record, flat: Flat) -> float:
     end = float(flat.p[STOP])
     if not flat.on[STOP_ON] or end == 0.0 or not record.rotary or record.kind != ANGLE:
         return 0.0
-    slack = max(END_SLACK_COUNTS * (record.quantum + record.scatter), END_SLACK_DEG)
+    slack = max(SETTINGS.start.end_slack_counts * (record.quantum + record.scatter), SETTINGS.start.end_slack_deg)
     if end > 0.0:
         return 360.0 * float(np.floor((end + slack - record.smooth.max()) / 360.0))
     return 360.0 * float(np.ceil((end - slack - record.smooth.min()) / 360.0))

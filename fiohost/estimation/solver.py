@@ -13,20 +13,11 @@ import numpy as np
 
 from fiohost.estimation.predict import Begun, Flat, errors, squared, windowed
 from fiohost.estimation.record import Record
+from fiohost.estimation.settings import SETTINGS
 from fiohost.estimation.starts import moved_start, start_columns, within_reach
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.model import Model, slot
 from fiohost.motor.simulate import Start
-
-# A step that promises less than this share of what the tolerance asks for is not tried.
-PROMISED = 0.1
-# Windows are fitted along their tangent; to a tolerance below this one, with exact derivatives in the end.
-ALONG_TANGENT = 9e-6
-# Where steps left no more than this share of the squared error, windows are begun anew.
-MOVED_FAR = 0.9
-# So often a step is tried, more damped each time; the longest one of a start shrinks so, by its reach.
-ATTEMPTS = 8
-REACH_SHRINKS = 0.3
 
 
 @dataclass
@@ -253,14 +244,14 @@ def _stepped(
         each = zip(problem.records, point.starts, wanted, strict=True)
         return [(w, within_reach(r, flat, start, w, problem.windows, share)) for r, start, w in each]
 
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SETTINGS.attempts):
         moved = moved_by(free)
         if moved is None:
             damping = max(damping, 1e-6) * 10.0
             continue
         if float((moved - values) @ free.gradient) + by_starts <= least:
             break
-        share, follow = REACH_SHRINKS**attempt, freely
+        share, follow = SETTINGS.reach_shrinks**attempt, freely
         far = [(wanted != may, may) for wanted, may in shifts(freely, moved, share)]
         if any(held.any() for held, _ in far):
             follow = [p.followed(*at) if at[0].any() else f for p, f, at in zip(parts, freely, far, strict=True)]
@@ -289,7 +280,7 @@ def solve(problem: Problem, point: Point, max_iterations: int, tolerance: float)
     for _ in range(max_iterations if np.isfinite(cost) else 0):
         if converged:
             # Windows that begin where steps led from afar may hold to another minimum than those of this model's run.
-            if not (problem.windows and cost < MOVED_FAR * begun):
+            if not (problem.windows and cost < SETTINGS.moved_far * begun):
                 break
             point, residuals = problem.begun_anew(point, residuals)
             was, cost = cost, squared(residuals)
@@ -299,13 +290,13 @@ def solve(problem: Problem, point: Point, max_iterations: int, tolerance: float)
             begun, damping = cost, 1e-4
         jacobians, nuisances = problem.linearise(point, residuals, exactly)
         parts = [_Part.of(*of) for of in zip(residuals, jacobians, nuisances, strict=True)]
-        begun_with, least = damping, PROMISED * tolerance * cost
+        begun_with, least = damping, SETTINGS.promised * tolerance * cost
         better, damping = _stepped(problem, point, parts, cost, damping, least)
         if better is None and problem.ragged.any():
             # Across a jump of the error a derivative says nothing: the others step without it.
             better, damping = _stepped(problem, point, parts, cost, begun_with, least, problem.ragged)
         if better is None:
-            converged = exactly or tolerance > ALONG_TANGENT
+            converged = exactly or tolerance > SETTINGS.along_tangent
             if not converged:
                 exactly, damping = True, 1e-4
             continue
@@ -313,7 +304,7 @@ def solve(problem: Problem, point: Point, max_iterations: int, tolerance: float)
         point, residuals, cost = better
         damping = max(damping * 0.15, 1e-9)
         if was - cost <= tolerance * cost or cost < 1e-18:
-            converged = exactly or tolerance > ALONG_TANGENT
+            converged = exactly or tolerance > SETTINGS.along_tangent
             exactly = exactly or not converged
     # Derivatives are those of the last step's beginning: where the fit has converged, the same.
     projected = [project(c, n) for c, n in zip(jacobians, nuisances, strict=True)]

@@ -9,16 +9,10 @@ import numpy as np
 from fiohost.estimation.initial import best_lash, find_zero, has_own_warmth, has_own_zero, initial_state
 from fiohost.estimation.predict import Flat, errors, free_output
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.settings import SETTINGS
 from fiohost.estimation.tangent import Tangent
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import GAIN
-
-# Where the motor stood in its gap shows until both have met on either side.
-LASH_SHOWS_S = 4.0
-# A log's own zero, in degrees of the phase that it turns, and its warmth: difference, and the longest step of one
-# iteration.
-ZERO_STEP, ZERO_REACH = 0.1, 30.0
-WARMTH_STEP, WARMTH_REACH = 0.01, 0.3
 
 
 def start_columns(
@@ -42,13 +36,13 @@ def start_columns(
         step = 1e-4 * 100.0 * abs(float(flat.p[GAIN])) + 1e-12
         columns.append(by(start._replace(speed=start.speed + step), step))
     if has_own_warmth(record, flat):
-        step = WARMTH_STEP if start.warmth < 0.5 else -WARMTH_STEP
+        step = SETTINGS.warmth_step if start.warmth < 0.5 else -SETTINGS.warmth_step
         warmth = by(start._replace(warmth=start.warmth + step), step)
         pull = float(warmth @ residual)
         if (start.warmth > 0.0 or pull > 0.0) and (start.warmth < 1.0 or pull < 0.0):
             columns.append(warmth)
     if has_own_zero(record, flat):
-        columns.append(by(*_turned(flat, start, ZERO_STEP)))
+        columns.append(by(*_turned(flat, start, SETTINGS.zero_step_deg)))
     return np.column_stack(columns) if columns else np.empty((len(residual), 0))
 
 
@@ -66,10 +60,10 @@ def within_reach(
     """
     found, last = shift.copy(), len(shift)
     if has_own_zero(record, flat):
-        last, most = last - 1, share * ZERO_REACH / max(flat.orders())
+        last, most = last - 1, share * SETTINGS.zero_step_at_most_deg / max(flat.orders())
         found[last] = min(max(found[last], -most), most)
     if last > _by_motion(record, windows):
-        last, most = last - 1, share * WARMTH_REACH
+        last, most = last - 1, share * SETTINGS.warmth_step_at_most
         found[last] = min(max(found[last], -most, -start.warmth), most, 1.0 - start.warmth)
     return found
 
@@ -112,7 +106,7 @@ def taken_up_play(flat: Flat, records: Sequence[Record], starts: Sequence[Start]
         return list(starts)
     found = []
     for record, was in zip(records, starts, strict=True):
-        begins = min(len(record), round(LASH_SHOWS_S / record.sample_time_s))
+        begins = min(len(record), round(SETTINGS.start.lash_shows_s / record.sample_time_s))
 
         def left(play: float, drift: float, n: int = begins, record: Record = record, was: Start = was) -> float:
             residual = record.y[:n] - free_output(record, flat, was._replace(play=play, drift=drift), n)

@@ -14,13 +14,10 @@ import numpy as np
 
 from fiohost.estimation.predict import Begun, Flat, moved, of_run, turned_deg, whitened, window_states
 from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.settings import SETTINGS
 from fiohost.estimation.windows import window_outputs
 from fiohost.motor.simulate import Start
 from fiohost.motor.state import LOAD_THETA, OMEGA, STATE_SIZE, TAU, THETA, WORK_SIZE
-
-# Where a speed moves the output by less than this share of what it does in a shaft that runs on (of its square), the
-# shaft stands: friction takes the speed away at once.
-STANDS = 1e-4
 
 
 class Tangent:
@@ -67,7 +64,7 @@ class Tangent:
         outputs, (by_speed, by_angle) = self.begun.outputs, self.begun.columns
         by_angle = self._unit(by_angle, 0.0)
         own, running = (s - self._along(s, by_angle) for s in (by_speed, self._running()))
-        return outputs, by_angle, self._unit(own, STANDS * self._products(running, running))
+        return outputs, by_angle, self._unit(own, SETTINGS.stands * self._products(running, running))
 
     def _running(self) -> np.ndarray:
         """How (k) a speed at its beginning moves a window's output where nothing but the lag slows the shaft."""
