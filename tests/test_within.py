@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bench_data import suite, truth_model
 
+from fiohost.discover.evidence import State
 from fiohost.discover.logs.refit import LogsBeside
 from fiohost.discover.logs.weighed_windows import WeighedWindows
-from fiohost.discover.logs.whitened import Settled, Settling
 from fiohost.estimation.fit import Fit, fit
 from fiohost.motor.effect import effect
 
@@ -31,12 +31,12 @@ def test_beside_white_noise_that_no_candidate_gains_on_it_is_not_settled_on_them
     state = windows.settled(fit(truth.without(["armature_inductance"]), windows.records, windows=True))
     settled: list[str] = []
 
-    def recorded(self: WeighedWindows, fitted: Fit, whitened: bool = False) -> Settling:
+    def recorded(self: WeighedWindows, fitted: Fit, whitened: bool = False) -> State:
         settled.append(fitted.model.effects[-1])
         return of_class(self, fitted, whitened)
 
-    of_class = WeighedWindows._begun
-    monkeypatch.setattr(WeighedWindows, "_begun", recorded)
+    of_class = WeighedWindows.settled
+    monkeypatch.setattr(WeighedWindows, "settled", recorded)
     found = LogsBeside(windows, state).refitted([effect(n) for n in OFFERED], lambda text: None)
     others = {of.name: s for of, s in found if of.name != "constant_load"}
     assert others
@@ -44,31 +44,3 @@ def test_beside_white_noise_that_no_candidate_gains_on_it_is_not_settled_on_them
     assert (set(settled) <= {"constant_load"}) is not missing
     if missing:
         assert min(found, key=lambda f: f[1].deviance)[0].name == "armature_inductance"
-
-
-def test_only_what_may_come_first_is_settled_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Far behind at first, a candidate is far behind in the end; carried on, it is settled like any other."""
-    rng = np.random.default_rng(3)
-    truth = truth_model(("coulomb_friction", "armature_inductance"), {"armature_inductance.time_constant_s": 0.012})
-    shaky = [replace(r, y=r.y + r.quantum * np.round(2.0 * rng.standard_normal(len(r)))) for r in suite(truth, 3)]
-    windows = WeighedWindows(shaky)
-    state = windows.settled(fit(truth.without(["armature_inductance"]), windows.records, windows=True))
-    on, of_class = list[str](), Settling.on
-
-    def recorded(self: Settling) -> Settled:
-        on.append(self.best.fit.model.effects[-1])
-        return of_class(self)
-
-    monkeypatch.setattr(Settling, "on", recorded)
-    found = {
-        of.name: s for of, s in LogsBeside(windows, state).refitted([effect(n) for n in OFFERED], lambda text: None)
-    }
-    assert min(found, key=lambda name: found[name].deviance) == "armature_inductance"
-    assert "armature_inductance" in on
-    behind = [name for name in found if name not in on]
-    assert behind
-    begun = found[behind[0]]
-    settled = windows.finished(begun)
-    assert behind[0] in on
-    assert windows.finished(settled) is settled
-    assert settled.deviance <= begun.deviance

@@ -186,9 +186,6 @@ class SearchSettings:
     # A rival gains this share of what the best does on left-out blocks. Beside one at the floor of whole runs, effects
     # that score this share of it are refitted besides the least number.
     shared_gain: float = 0.8
-    # Windows and their noise settle on each other to the end only for those that at first gain that share, or less than
-    # the best by no more than this, in deviance: more than an effect has to gain.
-    near: float = 100.0
     # Fits whose squared errors are this close are as good: counts of whole runs err alike and do not average out.
     as_good: float = 1.03
     # Deviances this close are equal: twice what a free parameter gains by chance.

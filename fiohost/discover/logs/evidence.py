@@ -32,7 +32,6 @@ from fiohost.judging.followed import dependences
 from fiohost.judging.stage import Stage, judged
 from fiohost.motor.effect import Effect, effect
 from fiohost.motor.model import Model
-from fiohost.workers import each
 
 
 class Logs(Evidence[Stage]):
@@ -83,10 +82,6 @@ class Logs(Evidence[Stage]):
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         """The state of a fit, its deviance comparable with those of others; ``whitened`` says that it was fitted so."""
         raise NotImplementedError
-
-    def all_settled(self, state: State, fits: Sequence[tuple[Fit, bool]]) -> list[State]:
-        """The states of fits beside a ``state``, each with whether its windows were ``whitened``."""
-        return each(lambda f: self.settled(*f), fits)
 
     def screens(self, state: State) -> list[Screen]:
         """Around which fits the library is scored."""

@@ -97,6 +97,10 @@ class Finals:
             finals = [i for i in finals if i != best_one]
         fits |= zip(finals, each(thorough, finals), strict=True)
 
+        def settled(i: int) -> State:
+            known = there.get(i) or in_noise.get(i)
+            return known or self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+
         def apart(ways: Sequence[int]) -> Sequence[int]:
             """Of two ways that came to the same, the first."""
             if len(ways) < 2:
@@ -106,13 +110,8 @@ class Finals:
             return [one] if same else ways
 
         left = [i for ways in kept for i in apart(ways)]
-        known = {**in_noise, **there}
-        new = [i for i in left if i not in known]
-        begun = [(fits[i], jobs[i].records is self.state.records) for i in new]
-        known |= zip(new, self.logs.all_settled(self.state, begun), strict=True)
         best: dict[str, tuple[Effect, State]] = {}
-        for i in left:
-            state = known[i]
+        for i, state in zip(left, each(settled, left), strict=True):
             if jobs[i].name not in best or state.deviance < best[jobs[i].name][1].deviance:
                 best[jobs[i].name] = jobs[i].score.effect, state
         return best

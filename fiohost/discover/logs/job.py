@@ -43,9 +43,6 @@ class Logs(Protocol):
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
         """The state of a fit."""
 
-    def all_settled(self, state: State, fits: Sequence[tuple[Fit, bool]]) -> list[State]:
-        """The states of fits beside a ``state``, each with whether its windows were ``whitened``."""
-
     def no_noise(self, state: State) -> bool:
         """Whether the random torque that a state leaves is larger than any bench's."""
 

@@ -18,7 +18,7 @@ from fiohost.discover.logs.non_smooth import thorough_fit
 from fiohost.discover.logs.optimise import again
 from fiohost.discover.logs.plain_windows import PlainWindows
 from fiohost.discover.logs.screen import Screen
-from fiohost.discover.logs.whitened import Settled, Settling, drawing, with_noise, with_scatter
+from fiohost.discover.logs.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.discover.score import Gain, objection
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.estimation.fit import Fit, fit
@@ -28,7 +28,6 @@ from fiohost.motor.effect import Effect, effect
 from fiohost.noise.estimate import Noise
 from fiohost.noise.runs import LOAD, LOAD_EFFECT, NO_SCATTER, run_of, varied
 from fiohost.noise.whiten import is_white, unevenness
-from fiohost.workers import each
 
 
 class WeighedWindows(PlainWindows):
@@ -44,7 +43,6 @@ class WeighedWindows(PlainWindows):
         # Likelihoods compare only where the same is free, so that the shaft stands where the first says.
         self._stands: list[np.ndarray] | None = None
         self._as_they_are: WeakKeyDictionary[State, Fit] = WeakKeyDictionary()
-        self._unsettled: WeakKeyDictionary[State, Settling] = WeakKeyDictionary()
         self._white: WeakKeyDictionary[State, bool] = WeakKeyDictionary()
         self._ruling: WeakKeyDictionary[State, tuple[str, ...]] = WeakKeyDictionary()
 
@@ -53,38 +51,15 @@ class WeighedWindows(PlainWindows):
         return self.settings.least_further
 
     def settled(self, fitted: Fit, whitened: bool = False) -> State:
-        return self._state(self._begun(fitted, whitened).on())
-
-    def all_settled(self, state: State, fits: Sequence[tuple[Fit, bool]]) -> list[State]:
-        """Only those that may come first or be told from the first by little are settled to the end: what the others
-        gain in more turns is little of what they lack.
-        """
-        begun = each(lambda f: self._begun(*f), fits)
-        gains = [state.deviance - b.best.deviance for b in begun]
-        enough = min(self.settings.shared_gain * max(gains, default=0.0), max(gains, default=0.0) - self.settings.near)
-        found = [self._state(b.best) for b in begun]
-        self._unsettled.update(zip(found, begun, strict=True))
-        return each(lambda i: self._to_the_end(found[i]) if gains[i] >= enough else found[i], range(len(found)))
-
-    def _to_the_end(self, state: State) -> State:
-        """A state carried on until its model and noise have settled on each other."""
-        begun = self._unsettled.pop(state, None)
-        return self._state(begun.on()) if begun else state
-
-    def _begun(self, fitted: Fit, whitened: bool = False) -> Settling:
-        begun = Settling(fitted, self.records, self._stands, bare_first=not whitened)
-        self._stands = [m.stands for m in begun.moves]
-        return begun
-
-    @staticmethod
-    def _state(found: Settled) -> State:
+        found = settle(fitted, self.records, self._stands, bare_first=not whitened)
+        self._stands = [m.stands for m in found.moving]
         return State(found.fit, found.deviance, found.records, found.noise, found.moving, found.bare)
 
     def finished(self, state: State) -> State:
         """A state with its last effect's non-smooth parameters searched in windows as they are: under the noise that a
         wrong value leaves, a shaft that starts elsewhere is hardly seen.
         """
-        state = super().finished(self._to_the_end(state))
+        state = super().finished(state)
         last = effect(state.fit.model.effects[-1]) if state.fit.model.effects else None
         if last is None or last.once or not any(p.ragged for p in last.parameters):
             return state

@@ -204,69 +204,51 @@ def plain(records: Sequence[Record]) -> list[Record]:
     return [replace(r, disturbance=None) for r in records]
 
 
-class Settling:
-    """A fit carried on to windows whitened by what it leaves, in turns; ``stands`` (n each) is where the shaft does,
+def settle(
+    found: Fit,
+    records: Sequence[Record],
+    stands: Sequence[np.ndarray] | None = None,
+    rounds: int = WHITENING.rounds,
+    bare_first: bool = True,
+) -> Settled:
+    """Carry a fit on to windows whitened by what it leaves, in turns; ``stands`` (n each) is where the shaft does,
     where another model's is to be kept, not ``bare_first`` where the model comes from whitened windows already.
     """
-
-    def __init__(
-        self,
-        found: Fit,
-        records: Sequence[Record],
-        stands: Sequence[np.ndarray] | None = None,
-        bare_first: bool = True,
-    ) -> None:
-        self.bare, self.stands, self.turns, self.goes_on = plain(records), stands, 0, True
-        most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
-        self.fitted = self.plainly = fit(
-            found.model, self.bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance,
-            zeros=False,
-        )  # fmt: skip
-        self.paths = movements(self.bare, self.fitted.model, self.fitted.starts)
-        self.moves: tuple[Movement, ...] = ()
-        self.noise, self.alone = NONE, NO_SCATTER
-        self.several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
-        self.best = self._turned()
-
-    def on(self) -> Settled:
-        """The best that it comes to."""
-        while self.goes_on and self.turns < WHITENING.rounds:
-            self.best = self._turned()
-        return self.best
-
-    def _turned(self) -> Settled:
-        """The best so far, after one turn more."""
-        fitted, bare, several = self.fitted, self.bare, self.several
+    bare = plain(records)
+    most, tolerance = (20, 1e-4) if bare_first else (1, ENDLESS)
+    fitted = plainly = fit(
+        found.model, bare, windows=True, starts=found.starts, max_iterations=most, tolerance=tolerance, zeros=False
+    )
+    paths = movements(bare, fitted.model, fitted.starts)
+    moves: tuple[Movement, ...] = ()
+    whitened, noise, alone = tuple(bare), NONE, NO_SCATTER
+    several = len({run_of(r.name) for r in records}) >= NOISE_SETTINGS.least_runs
+    best: Settled | None = None
+    for turn in range(rounds):
         if several:  # nothing shrunk: what is left of how runs differ would be taken for a slow torque
-            self.alone = each_alone(around_runs(fitted, bare, self.alone)[1])
-        was, noise = self.noise, noise_of(fitted.model, fitted.starts, bare, self.alone, self.paths)
-        if self.turns > 0 and not several and noise.near(was, WHITENING.settled):
-            self.goes_on = False
-            return self.best
-        if not self.moves:
-            if self.stands is None:
+            alone = each_alone(around_runs(fitted, bare, alone)[1])
+        was, noise = noise, noise_of(fitted.model, fitted.starts, bare, alone, paths)
+        if turn > 0 and not several and noise.near(was, WHITENING.settled):
+            noise = was
+            break
+        if not moves:
+            if stands is None:
                 rms = noise.torque_pct.value
-                self.stands = [standing(r, fitted.model, s, rms) for r, s in zip(bare, fitted.starts, strict=True)]
-            self.moves = tuple(map(at_rest, self.paths, self.stands))
-        whitened, model = with_noise(bare, fitted.model, noise, self.moves), fitted.model
+                stands = [standing(r, fitted.model, s, rms) for r, s in zip(bare, fitted.starts, strict=True)]
+            moves = tuple(map(at_rest, paths, stands))
+        whitened, model = with_noise(bare, fitted.model, noise, moves), fitted.model
         if several:
             model, noise, whitened = with_runs(fitted, whitened, noise, was.runs)
-        self.noise = noise
-        self.fitted = fit(
+        fitted = fit(
             model, whitened, windows=True, starts=fitted.starts, max_iterations=12, tolerance=1e-5, zeros=False
         )
-        now = Settled(self.fitted, self.plainly, whitened, noise, self.moves)
-        before, self.turns = self.best if self.turns else None, self.turns + 1
-        # What runs scatter by and what each has swing about where they settle.
-        if several and before is not None:
-            self.goes_on = now.deviance <= before.deviance - WHITENING.settled_deviance
-            return now if now.deviance < before.deviance else before
-        return now
-
-
-def settle(found: Fit, records: Sequence[Record]) -> Settled:
-    """A fit carried on until model and noise have settled on each other."""
-    return Settling(found, records).on()
+        before, now = best, Settled(fitted, plainly, whitened, noise, moves)
+        if not several or before is None or now.deviance < before.deviance:
+            best = now
+        if several and before is not None and now.deviance > before.deviance - WHITENING.settled_deviance:
+            break  # what runs scatter by and what each has swing about where they settle
+    assert best is not None
+    return best
 
 
 def looks_white(stage: Stage, records: Sequence[Record]) -> bool:
