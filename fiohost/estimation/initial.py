@@ -115,30 +115,29 @@ def find_zero(
     orders = flat.orders()
     once, fastest = gcd(*orders), max(orders)
 
-    def looked_at(zero: float, columns: np.ndarray | None = None) -> tuple[float, np.ndarray]:
+    def cost(zero: float) -> float:
         seen = flat.from_zero(zero)
         begins = [Start(float(angles[a]), speed) for a, speed in zip(firsts, speeds, strict=True)]
         bases = np.array([start_state(begin, seen.p, seen.on) for begin in begins])
-        residuals, _, _, own = fitted_windows(record, seen, data, (firsts, ends), bases, True, columns)
-        return float(residuals @ residuals), own
+        residuals, _, _, _ = fitted_windows(record, seen, data, (firsts, ends), bases, True)
+        return float(residuals @ residuals)
 
     if near is None:
         looks = BEGINNING.zero_looks * (fastest // once)
         zeros = [360.0 / once * i / looks for i in range(looks)]
     else:
         zeros = [near, *sorted({near + 360.0 * k / n for n in set(orders) if n > once for k in range(1, n // once)})]
-    best = min(zeros, key=lambda zero: looked_at(zero)[0]) if len(zeros) > 1 else zeros[0]
+    best = min(zeros, key=cost) if len(zeros) > 1 else zeros[0]
     if not closely:
         return best
     reach = (BEGINNING.zero_reach_deg if near is None else BEGINNING.zero_near_deg) / fastest
-    least, columns = looked_at(best)
     found = minimize_scalar(
-        lambda zero: looked_at(zero, columns)[0],
+        cost,
         bounds=(best - reach, best + reach),
         method="bounded",
         options={"xatol": BEGINNING.zero_close_deg / fastest, "maxiter": BEGINNING.zero_more},
     )
-    zero = float(found.x) if found.fun < least else best
+    zero = float(found.x) if found.fun < cost(best) else best
     return (zero + 180.0) % 360.0 - 180.0
 
 
