@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from boards import HANG_S, rows_of
@@ -24,6 +25,8 @@ from firmware_model import FirmwareModelError, gadget
 from firmware_model.__main__ import main
 from firmware_model.lines.node import NodeLine, PtyLine
 from firmware_model.serve import serve
+
+WATCHDOG_S = 1.0
 
 
 @contextmanager
@@ -51,15 +54,17 @@ def counts_since(link: Path, seconds: float) -> list[int]:
 
 
 @pytest.mark.parametrize("watchdog", [False, True])
-def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_100_ms(
-    watchdog: bool, tmp_path: Path
-) -> None:
-    """Host and guardian end at once."""
+def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it(watchdog: bool, tmp_path: Path) -> None:
+    """Host and guardian end at once.
+
+    The watchdog's time is long against any stall of a host on a busy machine: one of 0.1 s brakes before the host ends.
+    Its exact step is shown where no clock of the computer counts, in test_board_options.
+    """
     link, log, trace = tmp_path / "board", tmp_path / "run.csv", tmp_path / "trace"
     profile = tmp_path / "guarded.toml"
-    profile.write_text("watchdog_s = 0.1\n" + (ROOT / "configs/targets/serial-documented.toml").read_text())
+    profile.write_text(f"watchdog_s = {WATCHDOG_S}\n" + (ROOT / "configs/targets/serial-documented.toml").read_text())
     target = f"{profile if watchdog else 'serial'}:{link}"
-    with served(link, *(["--watchdog", "0.1"] if watchdog else [])) as board:
+    with served(link, *(["--watchdog", str(WATCHDOG_S)] if watchdog else [])) as board:
         arguments = [
             "manual",
             "--pwm",
@@ -86,14 +91,13 @@ def test_a_dead_computer_leaves_the_motor_running_and_a_watchdog_brakes_it_in_10
         os.kill(int(guardian), signal.SIGKILL)
         host.kill()
         said = host.communicate()[1]
-        counts = counts_since(link, 0.6)
+        counts = counts_since(link, 2.0 * WATCHDOG_S)
         assert ("no watchdog" in said) != watchdog
         driven = sum("20 42 01 00" in line for line in trace.read_text().splitlines())
         assert driven >= 80
         assert len(Log.read(log)) >= driven - 1  # every row but the last
         full = sum(counts[:18]) / 18
-        assert full > 3.0  # the board holds the last command, for 20 steps or for ever
-        assert (sum(counts[26:30]) / 4 < 0.9 * full) == watchdog  # one step to latch it, and some to be seen in counts
+        assert full > 3.0  # the board holds the last command, until its watchdog's time is up or for ever
         assert (sum(counts[-20:]) == 0) == watchdog
         with connect(f"serial:{link}", guards=PATIENT) as bench:  # the next host brakes it first of all
             bench.settle()
@@ -135,22 +139,26 @@ def test_what_cannot_be_served_is_said_in_a_sentence(
     assert said in capsys.readouterr().err
 
 
-def test_deadlines_are_absolute_a_late_step_delays_no_other() -> None:
+def test_deadlines_are_absolute_a_late_step_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, steps = [7.0], []
+
+    def passes(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr("firmware_model.serve.time", SimpleNamespace(monotonic=lambda: now[0], sleep=passes))
     line = PtyLine()
-    begun, steps = time.monotonic(), []
 
     def step(packet: bytes | None) -> bytes:
-        if len(steps) == 10:
-            time.sleep(0.1)
-        steps.append(time.monotonic())
+        steps.append(now[0] - 7.0)
+        if len(steps) == 11:
+            passes(0.1)
         return b""
 
     kept = serve(step, line, "documented", stop=lambda: len(steps) >= 60)
     line.close()
-    assert kept.steps == 60
-    assert kept.worst_s >= 0.09
-    assert steps[29] - steps[10] < 0.09  # steps 11 to 29 make up for the late one: 19 take less than 95 ms
-    assert steps[-1] - begun >= 0.29
+    late = 0.05 + 0.1  # step 10 was due at 50 ms and lasts 100 ms: those due within run at once, one after another
+    assert steps == pytest.approx([0.005 * k if k <= 10 else max(late, 0.005 * k) for k in range(60)])
+    assert (kept.steps, kept.late, kept.worst_s) == (60, 19, pytest.approx(0.095))
 
 
 def test_a_node_of_reports_is_read_report_by_report_and_survives_an_unplug(tmp_path: Path) -> None:
