@@ -149,6 +149,7 @@ def test_the_average_is_told_before_anything_is_fitted() -> None:
     assert "steps of 18 deg/s" in told.advice
 
 
+@pytest.mark.long
 def test_beside_a_filter_of_counts_nothing_is_left_to_explain() -> None:
     drag = {**TRUTH, "quadratic_drag.pct_at_1000_deg_s": 30.0}
     logs = [logged(seed, Model(("coulomb_friction", "quadratic_drag"), drag)) for seed in (12, 13, 14)]

@@ -217,6 +217,7 @@ def test_the_command_saves_constants_that_the_experiments_take(tmp_path: Path) -
 # ---- inductance, speed against torque ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("target", "true_H", "supply_V"),
     [("sim:nxt_no_load", 0.0047, 4.5), ("sim", 0.015, 9.0), ("sim:nxt_lego", 0.0047, 4.5)],

@@ -172,6 +172,7 @@ def test_logs_of_two_sealed_boards_differ_in_nothing_but_what_was_measured(tmp_p
     assert len({head["run_id"] for head in heads}) == 3, "a run id made from the seed would tell it"
 
 
+@pytest.mark.long
 def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite(monkeypatch: pytest.MonkeyPatch) -> None:
     # Whether anything is missing is asked before any candidate; the library makes the limits, which are not asked here.
     monkeypatch.setattr(close, "diagnose", partial(diagnose, library=["constant_load"]))
@@ -189,6 +190,7 @@ def test_a_board_with_nothing_to_find_is_told_so_with_the_default_suite(monkeypa
     assert "seal" not in result.stderr
 
 
+@pytest.mark.long
 def test_without_a_seed_a_board_is_drawn_and_its_seal_kept(short_suite: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(close, "suite", lambda: [SUITE[-1]])
     monkeypatch.setattr("fiohost.bench.connect.draw_seed", lambda: 3_000_000_006)
@@ -240,6 +242,7 @@ def test_the_diagnosis_is_made_of_the_log_files_alone(closed: tuple[Path, Result
     assert again["candidates"] == result["diagnosis"]["candidates"]
 
 
+@pytest.mark.long
 def test_boards_with_one_effect_are_named_right(tmp_path: Path) -> None:
     """One board of every other kind, sizes drawn; a short suite. First names must be right by their class.
 

@@ -279,6 +279,7 @@ def test_a_log_with_missing_ticks_says_so_and_is_simulated_through_the_gap(
     assert [s["effect"] for s in found["steps"]] == ["constant_load"]
 
 
+@pytest.mark.long
 def test_missing_ticks_under_a_changing_command_do_not_hide_the_effect(
     tmp_path: Path, logs: list[Path], quick: None
 ) -> None:

@@ -103,6 +103,7 @@ def small() -> Diagnosis:
     return diagnose_records(logs[:3], logs[3:], DECLARED, library=library)
 
 
+@pytest.mark.long("small")
 def test_an_effect_far_below_one_count_of_speed_is_named(small: Diagnosis) -> None:
     """Each speed weighed by itself, nothing seemed missing: 41 deg/s of counts hid all of it."""
     assert [s.effect for s in small.steps] == ["bridge_voltage_drop"]
@@ -110,6 +111,7 @@ def test_an_effect_far_below_one_count_of_speed_is_named(small: Diagnosis) -> No
     assert (small.verdict, small.explained_to) == ("explained", "sensor")
 
 
+@pytest.mark.long("small")
 def test_what_was_searched_as_an_angle_is_told_in_speeds(small: Diagnosis) -> None:
     told = to_json(small)
     assert told["output_unit"] == "deg/s"
@@ -129,6 +131,7 @@ def test_what_was_searched_as_an_angle_is_told_in_speeds(small: Diagnosis) -> No
     assert told["steps"][0]["after"]["train"] == told["after"]["train"]
 
 
+@pytest.mark.long("small")
 def test_what_was_found_of_the_angle_is_told_in_its_unit(small: Diagnosis) -> None:
     told = to_json(small)
     assert searched_unit(told) == "deg"

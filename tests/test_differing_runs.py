@@ -50,6 +50,7 @@ def nothing() -> Diagnosis:
     return diagnose_records(differing(1), (), Model.parse("linear+coulomb_friction"), library=library)
 
 
+@pytest.mark.long("nothing")
 def test_how_runs_differ_is_neither_an_effect_nor_noise(nothing: Diagnosis) -> None:
     told = to_json(nothing)
     assert (told["verdict"], told["explained_to"], told["steps"]) == ("no_missing_effect", "repeatability", [])
@@ -73,6 +74,7 @@ def loaded_runs(loads_pct: Sequence[float]) -> list[Record]:
     return records
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("loads_pct", "named"),
     [((1.6, 1.25, 1.7), []), ((3.4, 2.6, 3.0, 3.3, 2.9), ["constant_load"])],
@@ -119,6 +121,7 @@ def test_what_is_a_run_s_own_adds_to_what_it_was_taken_for() -> None:
     assert np.linalg.norm(columns[0] @ more - changed) < 0.05 * np.linalg.norm(changed)
 
 
+@pytest.mark.long
 def test_what_is_missing_is_named_beside_how_runs_differ() -> None:
     """Of bootstrap samples around the runs' mean, a shaft that stands in one run and creeps in another looks like more
     than any effect.
@@ -239,6 +242,7 @@ def test_a_load_that_runs_have_in_common_is_told_from_how_they_scatter() -> None
         assert least <= sum(estimate_runs(pulls).shares_load(1e-3) for pulls in sets) <= most
 
 
+@pytest.mark.long
 def test_what_an_effect_takes_is_seen_beside_how_runs_differ() -> None:
     """Windows as they are have one model for all runs, whose offsets rule them: they err no less with it."""
     records = differing(8, "bridge_voltage_drop", {"bridge_voltage_drop.drop_pct": 0.2})
@@ -247,6 +251,7 @@ def test_what_an_effect_takes_is_seen_beside_how_runs_differ() -> None:
     assert told == (["bridge_voltage_drop"], "explained", "repeatability")
 
 
+@pytest.mark.long
 def test_a_load_that_all_runs_have_in_common_is_not_how_they_differ() -> None:
     """A library without it has nothing else that would take it, and loads of the runs' own do."""
     rng = np.random.default_rng(2)

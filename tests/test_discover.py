@@ -27,6 +27,7 @@ from fiohost.report.words import verdict_sentence
 DECLARED = Model.parse("linear+coulomb_friction")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "values"),
     [
@@ -68,6 +69,7 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
         assert 0.9 < ratio < 1.1
 
 
+@pytest.mark.long
 def test_an_effect_outside_the_library_is_not_explained_away() -> None:
     truth = truth_model(("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 4.0})
     library = ["input_deadband", "transport_delay", "voltage_saturation", "constant_load", "backlash"]
@@ -78,6 +80,7 @@ def test_an_effect_outside_the_library_is_not_explained_away() -> None:
     assert "angle" in left["depends_on"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("mistaken", "truth"),
     [
@@ -101,6 +104,7 @@ def test_an_effect_mistaken_for_a_part_of_another_gives_way_to_it(mistaken: str,
     assert mistaken not in found.final.fit.model.effects
 
 
+@pytest.mark.long
 def test_what_is_peculiar_to_one_record_explains_only_where_it_leaves_nothing() -> None:
     """The strongest of constant commands ran on less supply: no limit of the voltage, while gravity is missing too."""
     rng = np.random.default_rng(6)
@@ -282,6 +286,7 @@ def test_a_start_that_soon_rests_is_found_within_its_count() -> None:
     assert np.abs(errors).max() < 0.2 * 0.5
 
 
+@pytest.mark.long
 def test_an_end_of_travel_is_believed_though_one_record_only_met_it() -> None:
     """Readings show it by themselves, beside friction that changes around the turn and leaves something."""
     values = {"hard_stop.angle_deg": 900.0, "position_dependent_friction.ratio": 0.4}

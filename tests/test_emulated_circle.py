@@ -15,6 +15,7 @@ from fiohost.cli.main import cli
 SEED, EFFECT = 280, "gravity_load"
 
 
+@pytest.mark.long
 def test_close_loop_on_an_emulated_uno_names_the_effect(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, measured: Callable[[str], None]
 ) -> None:

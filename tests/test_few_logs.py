@@ -22,6 +22,7 @@ def names(folder: Path, effects: dict[str, dict[str, float | str]]) -> tuple[str
     return found.verdict, [(s.effect, *s.indistinguishable_from) for s in found.steps]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("truth", "values"),
     [
@@ -41,6 +42,7 @@ def test_one_square_wave_of_a_bench_that_lacks_nothing_names_nothing(tmp_path: P
     assert names(tmp_path, {}) == ("no_missing_effect", [])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("experiment", "truth", "values", "others"),
     [

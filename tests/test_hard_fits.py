@@ -202,6 +202,7 @@ def test_a_start_that_the_first_second_does_not_show_is_the_one_that_was_fitted(
     assert judge(drifts, truth, fitted=start).errors.free_run_rms < 2.0 * COUNT_NOISE
 
 
+@pytest.mark.long
 def test_a_gap_that_a_wrong_start_holds_fast_is_let_go(tmp_path: Path) -> None:
     """A sum of sines that begins slowly, fitted from a start that suits its first seconds and a gap too wide."""
     values = {
@@ -329,6 +330,7 @@ def test_a_springy_shaft_is_found_though_the_first_step_from_another_frequency_l
     assert found.rms < 0.4 * base.rms < min(f.rms for f in first)
 
 
+@pytest.mark.long
 def test_a_threshold_is_searched_finely_beside_another_effect_that_cannot_be_believed(tmp_path: Path) -> None:
     """Friction that falls with speed does as much from its least speed on; by that it was held to be at the floor."""
     motor = {"R_ohm": 4.0277263, "L_H": 0.0, "Kt_Nm_per_A": 0.52483861, "Ke_Vs_per_rad": 0.55932715}
@@ -339,6 +341,7 @@ def test_a_threshold_is_searched_finely_beside_another_effect_that_cannot_be_bel
     assert found.verdict == "explained"
 
 
+@pytest.mark.long
 def test_what_one_record_shows_is_got_off_its_ledge_before_something_is_said_to_be_left_there(tmp_path: Path) -> None:
     """Beside a gain that warms all records were at 1.03 times their floor, the one with slow starts at 1.108."""
     motor = {

@@ -39,6 +39,7 @@ def run_of(model: Model, seed: int, seconds: float = 16.0, most: float = 40.0) -
     return make_record(f"run {seed}", times, duty, np.floor(y / 0.5) * 0.5 + 0.25, quantum=0.5, at_rest=True)
 
 
+@pytest.mark.long
 def test_a_load_that_no_name_fits_is_handed_over_as_a_curve() -> None:
     bench = DECLARED.with_effect("load_over_position", BUMP)
     train, held = [run_of(bench, seed) for seed in (1, 2, 3)], [run_of(bench, 4)]
@@ -56,6 +57,7 @@ def test_a_load_that_no_name_fits_is_handed_over_as_a_curve() -> None:
     assert "load_over_position" not in found.final.fit.model.effects  # it names nothing
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["load_over_position", "friction_over_position"])
 def test_a_curve_of_any_shape_is_named_where_no_sine_does_as_well(name: str) -> None:
     bench = DECLARED.with_effect(name, BUMP)

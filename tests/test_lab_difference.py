@@ -46,6 +46,7 @@ def named(target: str, constants: str, folder: Path) -> Mapping[str, Any]:
     return {**told.values["difference"], "answer": answer}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("target", "constants", "dry_Nm"),
     [("sim:nxt_lego", "no_load", 0.009), ("sim:nxt_lego_arm", "arm_measured", 0.017)],
@@ -112,6 +113,7 @@ def test_logs_that_a_known_limit_of_the_current_does_not_reach_are_looked_at(tmp
     assert [Path(name).stem for name in logs_of(only_cut, limited)] == ["position_a", "position_c", "position_d"]
 
 
+@pytest.mark.long
 def test_a_target_that_is_the_model_lacks_nothing(tmp_path: Path) -> None:
     result = with_difference(lab("sim:nxt_no_load", tmp_path, (1.5,)), Q.model())
     assert result.values["difference"]["effects"] == []

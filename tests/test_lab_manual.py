@@ -49,6 +49,7 @@ def test_the_staircase_shows_the_plants_gain_and_dry_friction() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_static_friction_is_seen_in_the_way_up_and_down_and_a_bent_line_is_not_taken_for_it() -> None:
     Path("sticky.toml").write_text(DEFAULT + "\n[effects.static_friction]\nextra_Nm = 0.0111\n")
     result, said = observed("--target", "sim:sticky.toml")

@@ -31,6 +31,7 @@ from fiohost.motor.effect import effects
 from fiohost.motor.model import Model
 
 
+@pytest.mark.long
 def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
     values = {
         "asymmetric_coulomb_friction.forward_pct": 5.0,
@@ -48,6 +49,7 @@ def test_what_whole_runs_cannot_follow_is_found_in_windows() -> None:
     assert found.verdict == "explained"
 
 
+@pytest.mark.long
 def test_two_effects_of_which_neither_brings_whole_runs_near_are_led_to_by_windows_as_they_are() -> None:
     """Weighed by the noise that each candidate leaves, which here is what it lacks, that took three times as long."""
     values = {"gravity_load.level_pct": 6.0, "gravity_load.phase_deg": 40.0, "pwm_dead_time.time_us": 3.0}
@@ -63,6 +65,7 @@ def test_two_effects_of_which_neither_brings_whole_runs_near_are_led_to_by_windo
     assert not any("noise" in text or "anew" in text for text in said), said
 
 
+@pytest.mark.long
 def test_of_two_effects_windows_may_show_but_one_and_whole_runs_the_other() -> None:
     values = {
         "quadratic_drag.pct_at_1000_deg_s": 2.5,
@@ -80,6 +83,7 @@ def test_of_two_effects_windows_may_show_but_one_and_whole_runs_the_other() -> N
     assert not any("noise" in text or "curves" in text for text in said), said
 
 
+@pytest.mark.long
 def test_an_event_beside_another_effect_leads_whole_runs_to_it() -> None:
     values = {"sublinear_viscous_friction.pct_at_1000_deg_s": 0.8, "sublinear_viscous_friction.knee_deg_s": 70.0}
     names, rng = ("coulomb_friction", "sublinear_viscous_friction"), np.random.default_rng(13)
@@ -124,6 +128,7 @@ def test_what_is_asked_for_again_is_not_fitted_again_beside_itself(monkeypatch: 
     assert "gravity_load" not in fitted
 
 
+@pytest.mark.long
 def test_an_effect_that_led_near_another_gives_its_place_to_it() -> None:
     """A winding in which current ceases slowly begins too far off from gain and friction as they seem without it."""
     values = {"linear.gain_deg_s_per_pct": 13.7, "linear.tau_s": 0.1, "coulomb_friction.level_pct": 5.0}
@@ -137,6 +142,7 @@ def test_an_effect_that_led_near_another_gives_its_place_to_it() -> None:
     assert "adding coast_pwm" in said
 
 
+@pytest.mark.long
 def test_what_was_added_is_got_off_its_ledge_before_more_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Far from it where there are few experiments; where there are more, ledges are near."""
     begun: dict[str, list[tuple[str, ...]]] = {"unstuck": [], "polish": []}
@@ -239,6 +245,7 @@ def test_what_was_polished_in_vain_is_neither_judged_nor_polished_again(monkeypa
     assert len(looked) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("evidence", [PlainWindows, WeighedWindows, WholeRuns])
 def test_the_moment_of_an_event_is_looked_for_again_beside_what_was_added_since(evidence: type[Logs]) -> None:
     """Beside a dead time that was missing it was 4 s late, and stayed there: both names were right, and given up."""

@@ -61,6 +61,7 @@ def test_of_a_long_log_only_what_its_beginning_follows_is_fitted_to_all_of_it(se
     assert [of.name for of, _ in ladder._followed_at_first(found)] == kept
 
 
+@pytest.mark.long
 def test_where_a_torque_is_all_that_a_long_log_leaves_no_whole_run_is_searched(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

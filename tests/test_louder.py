@@ -45,6 +45,7 @@ def test_how_loud_each_run_is_is_found(motor: Motor, torque_pct: float) -> None:
     assert found.torque_pct.low <= torque_pct <= found.torque_pct.high
 
 
+@pytest.mark.long
 def test_runs_that_are_alike_share_one_noise() -> None:
     rng, alone = np.random.default_rng(2), 0
     for kind, quantum in ((covariance.SPEED, 0.0), (covariance.ANGLE, 0.5)):
@@ -103,6 +104,7 @@ def test_records_are_whitened_and_drawn_with_the_noise_of_their_own_run() -> Non
     assert weights[0] / weights[2] == pytest.approx(9.0, rel=0.2)
 
 
+@pytest.mark.long
 def test_a_motor_that_lacks_nothing_is_explained_though_its_sensor_is_louder_where_it_is_faster() -> None:
     reach = (0.3, 0.6, 1.0)
     logs = [analogue(name, 10.0 * noise, 10 + k, reach[k]) for k, (name, noise) in enumerate(SPEED_NOISE.items())]

@@ -67,6 +67,7 @@ def test_the_import_says_what_was_measured_and_how(imported: dict[int, Path]) ->
         assert log.dropped == ()
 
 
+@pytest.mark.long("nxt")
 def test_dry_friction_is_found_or_a_name_that_these_data_cannot_tell_from_it(told: dict[str, Any]) -> None:
     assert told["steps"], "nothing was found in measurements of a motor with dry friction"
     names = [n for step in told["steps"] for n in (step["effect"], *step["indistinguishable_from"])]
@@ -78,12 +79,14 @@ def test_dry_friction_is_found_or_a_name_that_these_data_cannot_tell_from_it(tol
         assert 0.5 < level["value"] < 4.0
 
 
+@pytest.mark.long("nxt")
 def test_the_held_out_error_falls_by_much_in_whole_runs_and_in_windows(told: dict[str, Any]) -> None:
     before, after = told["before"]["holdout"], told["after"]["holdout"]
     assert after["free_run_rms"] < 0.65 * before["free_run_rms"]
     assert after["window_rms"] < 0.8 * before["window_rms"]
 
 
+@pytest.mark.long("nxt")
 def test_no_step_is_taken_that_makes_held_out_runs_worse(told: dict[str, Any]) -> None:
     figures = [told["before"]["holdout"]["window_rms"], *(s["after"]["holdout"]["window_rms"] for s in told["steps"])]
     # Models are of the runs' mean, from which each run is off: before friction is named, by a tenth of its gain.
@@ -91,12 +94,14 @@ def test_no_step_is_taken_that_makes_held_out_runs_worse(told: dict[str, Any]) -
     assert figures[-1] < 0.7 * figures[0]
 
 
+@pytest.mark.long("nxt")
 def test_the_angle_s_own_error_is_found_beside_it(told: dict[str, Any]) -> None:
     assert "shaft_angle_error" in [s["effect"] for s in told["steps"]]
     assert 0.3 < told["final"]["parameters"]["shaft_angle_error.level_1_deg"]["value"] < 0.7
     assert 0.05 < told["final"]["parameters"]["linear.tau_s"]["value"] < 0.08
 
 
+@pytest.mark.long("nxt")
 def test_what_remains_is_how_runs_differ(told: dict[str, Any]) -> None:
     assert (told["verdict"], told["explained_to"]) == ("explained", "repeatability")
     assert told["residual"]["white"]

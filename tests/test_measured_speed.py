@@ -59,18 +59,21 @@ def axis(measured_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagn
     return diagnose([first], [second], "linear+coulomb_friction", table_map="emps", library=AXIS_LIBRARY)
 
 
+@pytest.mark.long("gear")
 def test_a_speed_log_stays_a_mean_speed_of_its_own_sample_time(later: Diagnosis) -> None:
     (record,) = later.train
     assert (record.kind, record.unit, record.sample_time_s) == (MEAN_SPEED, "deg/s", pytest.approx(0.02))
     assert np.allclose(np.rint(record.y / record.quantum), record.y / record.quantum, atol=1e-3)
 
 
+@pytest.mark.long("gear")
 def test_the_floor_of_a_mean_speed_is_that_of_two_readings(later: Diagnosis) -> None:
     quantum = later.train[0].quantum
     floor = to_json(later)["floor"]["train"]["free_run_rms"]
     assert floor == pytest.approx(quantum / np.sqrt(6.0), rel=0.15)
 
 
+@pytest.mark.long("gear")
 def test_the_later_firmware_shows_as_a_delay_and_the_earlier_as_none(later: Diagnosis, days: dict[str, Path]) -> None:
     told, earlier = to_json(later), to_json(one_way(days, "08-11", "08-14"))
     assert sorted(s["effect"] for s in told["steps"]) == ["coulomb_friction", "transport_delay"]
@@ -89,6 +92,7 @@ def test_the_closed_loop_record_with_angles_has_a_map_of_its_own(measured_data: 
     assert log.output[-1] == pytest.approx(100.0, abs=2.0)
 
 
+@pytest.mark.long("axis")
 def test_the_axis_is_told_in_metres(axis: Diagnosis) -> None:
     told: dict[str, Any] = to_json(axis)
     (record,) = axis.train
@@ -97,6 +101,7 @@ def test_the_axis_is_told_in_metres(axis: Diagnosis) -> None:
     assert told["final"]["parameters"]["linear.gain_deg_s_per_pct"]["unit"] == "m/s per %"
 
 
+@pytest.mark.long("axis")
 def test_the_axis_lacks_a_force_that_acts_one_way_and_more_remains(axis: Diagnosis) -> None:
     told = to_json(axis)
     one_way = {

@@ -58,6 +58,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 def test_intervals_of_the_noise_hold_the_truth_on_nine_sets_of_ten() -> None:
     rng = np.random.default_rng(20261122)
     hits, total = dict.fromkeys(("sensor", "torque", "time"), 0), dict.fromkeys(("sensor", "torque", "time"), 0)

@@ -57,6 +57,7 @@ def test_a_noisy_bench_that_lacks_nothing_is_explained_to_within_its_noise(tmp_p
     assert told["settings"]["fit"]["start"]["zero_looks"] > 0
 
 
+@pytest.mark.long
 def test_beside_more_noise_than_any_bench_has_what_windows_show_plainly_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,6 +70,7 @@ def test_beside_more_noise_than_any_bench_has_what_windows_show_plainly_is_told(
     assert told["floor"]["from"] != "noise"
 
 
+@pytest.mark.long
 def test_on_a_noisy_bench_the_effect_that_is_there_is_named(tmp_path: Path) -> None:
     told = to_json(run(made(tmp_path, {"constant_load": {"torque_Nm": 0.02 * STALL_NM}})))
     assert [s["effect"] for s in told["steps"]] == ["constant_load"]

@@ -50,6 +50,7 @@ def test_what_windows_of_a_shaft_at_rest_do_not_show_is_not_claimed(
     assert not found.steps
 
 
+@pytest.mark.long
 def test_an_effect_that_scores_little_is_asked_too() -> None:
     """A parameter that changes scores more and leads windows on; of whole runs only the truth follows all."""
     constants = (
@@ -75,6 +76,7 @@ def test_an_effect_that_scores_little_is_asked_too() -> None:
     assert found.verdict == "explained"
 
 
+@pytest.mark.long
 def test_under_a_turn_a_weight_is_named_with_what_cannot_be_told_from_it() -> None:
     constants = (4.645459334243753, 0.4923884655652564, 0.624174709825372, 0.006216620538681686, 0.014689340550358707)
     log = square(

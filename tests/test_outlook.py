@@ -88,6 +88,7 @@ def records_start(model: Model) -> dict[str, float]:
     return {k: model.number(k) for k in ("linear.gain_deg_s_per_pct", "linear.tau_s", "coulomb_friction.level_pct")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "values"), [("transport_delay", {"delay_s": 0.0012}), ("armature_inductance", {"inductance_H": 0.008})]
 )
@@ -165,6 +166,7 @@ SEEN = {
 }
 
 
+@pytest.mark.long
 def test_effects_on_a_board_are_seen_above_their_limit_and_not_below(tmp_path: Path) -> None:
     """At half the limit and at twice: one of ten verdicts may be wrong, the counts being what they are."""
     clean = tmp_path / "clean"
@@ -243,6 +245,7 @@ def test_a_torque_that_no_candidate_explains_is_described(
     assert term.over_floor > 2.0
 
 
+@pytest.mark.long
 def test_the_curve_is_the_missing_torque_and_names_nothing() -> None:
     truth = truth_model(
         ("coulomb_friction", "gravity_load"), {"gravity_load.level_pct": 2.5, "gravity_load.phase_deg": 130.0}

@@ -43,6 +43,7 @@ def told_of(found: Diagnosis) -> tuple[dict[str, Any], dict[str, Any]]:
     return told, {key: p["value"] for key, p in told["final"]["parameters"].items()}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "physical", "key", "size"),
     [

@@ -97,6 +97,7 @@ def board_table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(folder, text, "responses.csv", "kp,to,overshoot_pct,rise_s,settling_5_s", rows)
 
 
+@pytest.mark.long
 def test_a_saturation_on_the_board_is_found_in_its_figures(board_table: Path) -> None:
     found = diagnose_readings([board_table], "linear+coulomb_friction", library=SOME).to_json()
     assert found["verdict"] == "explained", found["residual"]
@@ -143,6 +144,7 @@ def test_a_declared_model_is_fitted_past_the_jumps_of_figures(tmp_path: Path) ->
     assert found.rms < 1.5
 
 
+@pytest.mark.long
 def test_an_effect_is_found_though_the_declared_model_fits_nothing(tmp_path: Path) -> None:
     """Without the saturation the best fit has a gain three times too large and all of the friction there may be."""
     numbers = {"linear.gain_deg_s_per_pct": 11.313, "linear.tau_s": 0.095, "coulomb_friction.level_pct": 2.79}
@@ -217,6 +219,7 @@ def test_a_static_curve_cannot_tell_a_deadband_from_friction_and_says_so(static:
     assert step["parameters"]["level_pct"]["value"] == pytest.approx(5.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_bridge_that_coasts_is_seen_in_a_curve_though_its_shape_is_no_size(tmp_path: Path) -> None:
     path = curve(tmp_path, lambda u: 900.0 * max(1.0 - 4.0 / u, 0.0), FORWARD)  # no current once a pulse is over
     found = diagnose_readings([path], "linear+coulomb_friction", library=["coast_pwm", *SOME])

@@ -141,6 +141,7 @@ def test_long_runs_are_tried_at_their_beginnings_first() -> None:
     assert samples < 0.5 * len(record)
 
 
+@pytest.mark.long
 def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> None:
     values = {f"load_over_position.point_{i}_pct": 1.5 * x for i, x in enumerate(CURVE_PCT, 1)}
     records = suite(truth_model(("coulomb_friction", "load_over_position"), values), 11, 24.0)

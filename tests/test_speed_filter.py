@@ -87,6 +87,7 @@ def test_its_lag_and_that_of_the_motor_are_found_apart(windows: bool) -> None:
     assert found.number("linear.gain_deg_s_per_pct") == pytest.approx(GAIN, rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("truth", "kept", "winding_s"), [("speed_filter", KEPT, 0.0), ("armature_inductance", 0.0, 0.02)]
 )

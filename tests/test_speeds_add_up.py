@@ -69,6 +69,7 @@ def test_of_speeds_only_what_acts_at_a_place_is_tried_and_nothing_behind_a_gap(t
         assert "where on its turn the shaft went on is not known" in reasons[name]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "physical", "key", "size"),
     [

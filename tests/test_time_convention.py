@@ -73,6 +73,7 @@ def test_metadata_that_leave_out_a_tick_are_found_out_as_a_delay_of_a_tick(wire_
     assert found.final.fit.model.number("transport_delay.delay_s") == pytest.approx(TICK_S, abs=0.1e-3)
 
 
+@pytest.mark.long
 def test_metadata_that_claim_a_tick_too_many_are_not_explained_away(wire_logs: list[Log]) -> None:
     few = ["transport_delay", "armature_inductance", "input_deadband"]
     found = diagnose([restated(log, 2) for log in wire_logs], (), DECLARED, library=few)

@@ -102,6 +102,7 @@ def test_a_slow_random_torque_is_no_missing_effect(seed: int) -> None:
     assert found.verdict == "no_missing_effect"
 
 
+@pytest.mark.long
 def test_a_torque_that_swings_by_the_clock_is_no_random_one() -> None:
     """Weights take it for one that wanders."""
     ripple: dict[str, float | str] = {"clock_ripple.level_pct": 1.0, "clock_ripple.frequency_hz": 0.65}
@@ -111,6 +112,7 @@ def test_a_torque_that_swings_by_the_clock_is_no_random_one() -> None:
     assert "time" in found.depends_on
 
 
+@pytest.mark.long
 def test_whole_runs_under_a_random_torque_are_not_begun_anew_in_before_windows_are_asked() -> None:
     said: list[str] = []
     library = ("constant_load", "quadratic_drag")
@@ -127,6 +129,7 @@ def axis() -> Diagnosis:
     return diagnose_records([to_and_fro(6), to_and_fro(56)], [to_and_fro(102)], Model(), library=LIBRARY)
 
 
+@pytest.mark.long
 def test_friction_that_weights_take_for_a_wandering_torque_is_named(axis: Diagnosis) -> None:
     told = to_json(axis)
     assert {s["effect"] for s in told["steps"]} == {"coulomb_friction", "viscous_friction_by_direction"}
@@ -182,6 +185,7 @@ def slowly_reversed(seed: int) -> Record:
     return make_record(f"slow {seed}", times, duty, angle + 0.25, quantum=0.5, at_rest=True)
 
 
+@pytest.mark.long
 def test_intervals_hold_a_friction_where_a_torque_decides_when_a_shaft_sticks() -> None:
     """By one step from the fit to each bootstrap sample they held it in 18 of these 24."""
     held = 0

@@ -17,6 +17,7 @@ from fiohost.motor.effect import effect
 OFFERED = ("quadratic_drag", "armature_inductance", "input_deadband", "voltage_saturation", "constant_load")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", [False, True])
 def test_beside_white_noise_that_no_candidate_gains_on_it_is_not_settled_on_them(
     missing: bool, monkeypatch: pytest.MonkeyPatch
