@@ -19,6 +19,8 @@ from fiohost.motor.model import Model
 
 SCORE = SETTINGS.score
 
+FULL_DUTY_PCT = 100.0
+
 
 @dataclass(frozen=True)
 class Gain:
@@ -55,7 +57,8 @@ def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | No
 
 def at_a_bound(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Which parameter of a fitted effect went as far as it may, or None."""
-    bounds = (_at_a_bound(p, value) for p, value in _smooth(found, name, replicas))
+    full = FULL_DUTY_PCT * found.model.number("linear.gain_deg_s_per_pct")
+    bounds = (_at_a_bound(p, value, full) for p, value in _smooth(found, name, replicas))
     return next((why for why in bounds if why), None)
 
 
@@ -64,10 +67,12 @@ def _smooth(found: Fit, name: str, replicas: Sequence[Model] = ()) -> list[tuple
     return [(p, known[f"{name}.{p.name}"]) for p in effect(name).parameters if p.is_smooth]
 
 
-def _at_a_bound(parameter: Parameter, value: Estimate) -> str | None:
+def _at_a_bound(parameter: Parameter, value: Estimate, full: float) -> str | None:
     if value.at_bound and (value.value != 0.0 or parameter.neutral is not None):
         # Nothing in nature is below zero; any other bound is one of the search.
         return f"{parameter.name} went to its bound {value.value:g} {parameter.unit}"
+    if parameter.by_speed > 0.0 and value.value > full:
+        return f"{parameter.name} went beyond the motor's full speed, to {value.value:.4g} {parameter.unit}"
     return None
 
 

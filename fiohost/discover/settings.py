@@ -13,6 +13,8 @@ class ScreenSettings:
 
     # Signatures are compared at this resolution in time: a shaft does not move faster, and arrays stay small.
     resolution_s: float = 0.02
+    # Trials are for a motor of the speed that is exceeded in the rest of the samples.
+    reached: float = 0.98
     # So many of an effect's trials are refitted.
     best_trials: int = 4
     # Of what swings each trial that scores so close to the best begins too.

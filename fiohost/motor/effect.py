@@ -97,7 +97,8 @@ class Parameter:
     ``ragged`` says that the cost is no smooth function of it, so that it is searched, not only followed downhill;
     ``step`` is the finite-difference step, relative to the value where ``relative_step`` is set. ``special`` is the
     kind where the rest does not tell it. ``order`` is how many times a parameter moves with the zero of angle, where
-    the effect has no parameter that says so.
+    the effect has no parameter that says so. ``by_speed`` is the power of a motor's full speed that trials go with: a
+    speed goes with the first.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Parameter:
     ragged: bool = False
     special: Kind | None = None
     order: int | None = None
+    by_speed: float = 0.0
 
     @property
     def kind(self) -> Kind:
@@ -197,15 +199,28 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+# The full speed of a motor that trials are for.
+TRIED_DEG_S = 1000.0
+
+
 @dataclass(frozen=True)
 class Span:
     """What the data cover: the bench's time in seconds, the angles in degrees where the shaft stood though driven on,
-    as at an end of travel (positive where it was driven forward), and frequencies in Hz of lines in what is left.
+    as at an end of travel (positive where it was driven forward), frequencies in Hz of lines in what is left, and the
+    speed that was reached.
     """
 
     time_s: tuple[float, float]
     ends_deg: tuple[float, ...]
     lines_hz: tuple[float, ...] = ()
+    full_deg_s: float = TRIED_DEG_S
+
+    @property
+    def speed_scale(self) -> float:
+        """How many times as fast it is as what the library's trials are for, to a power of four: a trial need only come
+        near.
+        """
+        return float(4.0 ** round(math.log(max(self.full_deg_s, 1e-3) / TRIED_DEG_S, 4.0)))
 
 
 # What follows the angle is frozen for no more of its swing; no step is shorter than this.
@@ -280,8 +295,10 @@ class Effect:
         """The trials for what the data cover; what lies beyond the bounds of a parameter is none of this effect: a line
         of an hour's log that is slower than any ripple.
         """
-        trials = self.trials_for(span) if self.trials_for else self.trials
-        return [dict(t) for t in trials if all(p.allows(t[p.name]) for p in self.parameters if p.name in t)]
+        given = self.trials_for(span) if self.trials_for else self.trials
+        by = {p.name: span.speed_scale**p.by_speed for p in self.parameters if p.by_speed}
+        trials = [{**t, **{n: float(t[n]) * by[n] for n in by if n in t}} for t in given]
+        return [t for t in trials if all(p.allows(t[p.name]) for p in self.parameters if p.name in t)]
 
     def step_s(self, own: Mapping[str, Value], lag_s: float, full_deg_s: float) -> float | None:
         """The longest step of a motor with such a lag and full speed, ``own`` being the effect's parameters by their

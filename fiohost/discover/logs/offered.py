@@ -31,7 +31,17 @@ def span_of(records: Sequence[Record]) -> Span:
     begin = min(r.excitation.clock_s for r in records)
     end = max(r.excitation.clock_s + r.seconds for r in records)
     ends = [end for r in records if r.kind == ANGLE for end in _ends(r)]
-    return Span((begin, end), tuple(ends))
+    return Span((begin, end), tuple(ends), full_deg_s=max(_full_speed(r) for r in records))
+
+
+def _full_speed(record: Record) -> float:
+    """The speed that a record reached, but for its fastest moments: of an angle, its mean over some samples."""
+    if record.kind != ANGLE:
+        speeds = record.y
+    else:
+        times, some = record.excitation.times_s, max(1, round(SCREEN.resolution_s / record.sample_time_s))
+        speeds = (record.y[some:] - record.y[:-some]) / (times[some:] - times[:-some])
+    return float(np.quantile(np.abs(speeds), SCREEN.reached)) if len(speeds) else 0.0
 
 
 def _ends(record: Record) -> list[float]:

@@ -12,10 +12,11 @@ from itertools import product
 
 import numpy as np
 
+from fiohost.discover.score import FULL_DUTY_PCT
 from fiohost.discover.tables.fit import Rows, TableFit, deviations, fit_tables, squares
 from fiohost.discover.tables.settings import SETTINGS
-from fiohost.discover.trials import varied
-from fiohost.motor.effect import Effect, Value
+from fiohost.discover.trials import Trial, varied
+from fiohost.motor.effect import Effect, Span, Value
 from fiohost.motor.model import Model
 
 
@@ -43,10 +44,10 @@ def scaled(model: Model, keys: Sequence[str], times: float) -> Model:
     return model.with_values(values)
 
 
-def _with_starts(item: Effect) -> list[dict[str, Value]]:
+def _with_starts(item: Effect, trials: Sequence[Trial]) -> list[Trial]:
     """Trials in which a number that shapes the effect is zero, again with the value that the library starts from."""
     shapes = [q for q in item.parameters if q.is_smooth and q.neutral is None and q.start != 0.0]
-    zero = [(t, [q for q in shapes if t.get(q.name) == 0.0]) for t in item.trials]
+    zero = [(t, [q for q in shapes if t.get(q.name) == 0.0]) for t in trials]
     return [{**t, **{q.name: q.start for q in found}} for t, found in zero if found]
 
 
@@ -54,7 +55,9 @@ def held(data: Rows, base: TableFit, item: Effect) -> list[TableFit]:
     """The base model with one effect added, the rest fitted to the sizes that it has, from its best trials; none where
     it leaves no trace.
     """
-    given = [*item.trials, *_with_starts(item)]
+    full_deg_s = FULL_DUTY_PCT * base.model.number("linear.gain_deg_s_per_pct")
+    tried = item.tried(Span((0.0, 0.0), (), full_deg_s=full_deg_s))
+    given = [*tried, *_with_starts(item, tried)]
     trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
     if max(np.abs(deviations(data, m, base.constants) - before).max() for m in trials) <= SETTINGS.trace:

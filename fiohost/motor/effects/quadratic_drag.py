@@ -17,7 +17,7 @@ EFFECTS = (
         steps_a_lag=8.0,
         commonness=6,
         signature="steady speed bends below a straight line at high duty, the same in both directions",
-        parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),),
+        parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0, by_speed=-2.0),),
         trials=({"pct_at_1000_deg_s": 2.0},),
         source="Windage of fans and brushes; Hughes and Drury, Electric Motors and Drives",
         torque=torque,

@@ -26,7 +26,17 @@ EFFECTS = (
         signature="missing torque that falls as the speed rises; stick-slip at slow speeds",
         parameters=(
             Parameter("extra_pct", "%", 2.0, 0.0, 50.0),
-            Parameter("stribeck_speed_deg_s", "deg/s", 60.0, 1.0, 1000.0, neutral=None, step=0.1),
+            Parameter(
+                "stribeck_speed_deg_s",
+                "deg/s",
+                60.0,
+                0.01,
+                1e5,
+                neutral=None,
+                step=1e-3,
+                relative_step=True,
+                by_speed=1.0,
+            ),
             Parameter("shape", "", "exponential", neutral=None, choices=("exponential", "gaussian")),
         ),
         trials=tuple(

@@ -30,7 +30,7 @@ EFFECTS = (
         steps_a_lag=4.0,
         commonness=5,
         signature="none while the bridge drives or brakes, where it is part of the gain; a coasting shaft slows faster",
-        parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),),
+        parameters=(Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0, by_speed=-1.0),),
         trials=({"pct_at_1000_deg_s": 2.0},),
         source="Viscous damping of bearings and grease; Armstrong-Helouvry, Control of Machines with Friction, 1991",
         torque=torque,
@@ -45,7 +45,7 @@ EFFECTS = (
         commonness=6,
         signature="missing torque in proportion to speed in one direction only; gain and lag differ by direction",
         parameters=(
-            Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),
+            Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0, by_speed=-1.0),
             Parameter("direction", "", "forward", neutral=None, choices=("forward", "reverse")),
         ),
         trials=(
@@ -65,8 +65,10 @@ EFFECTS = (
         commonness=6,
         signature="missing torque that rises steeply at low speed and flattens, the same in both directions",
         parameters=(
-            Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0),
-            Parameter("knee_deg_s", "deg/s", 100.0, 1.0, 2000.0, neutral=None, step=1e-3, relative_step=True),
+            Parameter("pct_at_1000_deg_s", "%", 2.0, 0.0, 1000.0, by_speed=-0.5),
+            Parameter(
+                "knee_deg_s", "deg/s", 100.0, 0.01, 1e5, neutral=None, step=1e-3, relative_step=True, by_speed=1.0
+            ),
         ),
         trials=tuple({"pct_at_1000_deg_s": 2.0, "knee_deg_s": v} for v in (20.0, 80.0, 300.0)),
         source="Shear thinning of lubricants; H. Eyring, J. Chem. Phys. 4, 1936",
