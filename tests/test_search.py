@@ -296,3 +296,15 @@ def test_a_general_curve_explains_only_what_no_named_effect_does(monkeypatch: py
         grown = [node(curve, general), *others]
         monkeypatch.setattr(search, "expanded", lambda node, grown=grown: iter(grown))
         assert search.next_ones([root]) == grown[-1:]
+
+
+@pytest.mark.parametrize(("behind", "error", "rival"), [(3.3, 0.9, True), (7.0, 0.9, False), (7.0, 4.0, True)])
+def test_a_rival_that_is_nearly_as_likely_is_named_however_sure_the_difference_is(
+    behind: float, error: float, rival: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counts of a winding of 8 ms at 20 ms, by which a dead time gains 78 of deviance and the winding 75."""
+    monkeypatch.setitem(LEFT, ((OTHER,), False), 500.0 + behind)
+    table = Table()
+    table.unsure = error
+    one, other = (Child(effects()[n], state((n,)), 1000.0 - state((n,)).deviance) for n in (FIRST, OTHER))
+    assert set(Belief(table).rivals(one, [one, other])) == ({OTHER} if rival else set())

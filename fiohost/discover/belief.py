@@ -106,7 +106,7 @@ class Belief(Generic[J]):
         """Those that left-out data cannot tell from a candidate, however noise is weighed."""
         e, found = self.evidence, dict[str, Model]()
         for other in (c for c in accepted if c.name != child.name):
-            told_apart = e.gain(other.state, child.state).sure(self.settings) or e.plainly(
+            told_apart = e.gain(other.state, child.state).tells_apart(self.settings) or e.plainly(
                 other.state, child.state, [child.name]
             )
             shares = other.gain >= self.settings.shared_gain * child.gain

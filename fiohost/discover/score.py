@@ -49,6 +49,12 @@ class Gain:
         """Whether it is one, within what the blocks can tell."""
         return self.total >= settings.sure_sigmas * self.error
 
+    def tells_apart(self, settings: SearchSettings = SETTINGS) -> bool:
+        """Whether it speaks strongly against the other of two models. Where both say nearly the same, so do blocks of
+        data: a difference may be sure, and so small that the other is nearly as likely.
+        """
+        return self.sure(settings) and self.total >= settings.strong_deviance
+
 
 def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Why a fitted effect cannot be believed by its parameters alone, or None; replicas as for ``estimates``."""

@@ -192,6 +192,8 @@ class SearchSettings:
     as_good: float = 1.03
     # Deviances this close are equal: twice what a free parameter gains by chance.
     equal_deviance: float = 2.0
+    # Left-out blocks tell a rival apart by so much deviance at least: odds of 20 to 1 (Kass and Raftery 1995).
+    strong_deviance: float = 6.0
     # A price, in deviance, on each rank that an effect is rarer than dry friction, a factor of 1.6 in prior odds: of
     # two that data tell apart by less than 7 the commonest wins over the rarest.
     rare: float = 1.0
