@@ -19,8 +19,6 @@ from fiohost.motor.model import Model
 
 SCORE = SETTINGS.score
 
-FULL_DUTY_PCT = 100.0
-
 
 @dataclass(frozen=True)
 class Gain:
@@ -63,7 +61,7 @@ def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | No
 
 def at_a_bound(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Which parameter of a fitted effect went as far as it may, or None."""
-    full = FULL_DUTY_PCT * found.model.number("linear.gain_deg_s_per_pct")
+    full = found.model.full_deg_s
     bounds = (_at_a_bound(p, value, full) for p, value in _smooth(found, name, replicas))
     return next((why for why in bounds if why), None)
 

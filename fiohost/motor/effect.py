@@ -296,7 +296,7 @@ class Effect:
         of an hour's log that is slower than any ripple.
         """
         given = self.trials_for(span) if self.trials_for else self.trials
-        by = {p.name: span.speed_scale**p.by_speed for p in self.parameters if p.by_speed}
+        by = {p.name: span.speed_scale**p.by_speed for p in self.parameters if p.by_speed and not p.is_choice}
         trials = [{**t, **{n: float(t[n]) * by[n] for n in by if n in t}} for t in given]
         return [t for t in trials if all(p.allows(t[p.name]) for p in self.parameters if p.name in t)]
 

@@ -219,9 +219,14 @@ class Model:
                 flat[layout()[item.name] + i] = parameter.code(self.values[f"{item.name}.{parameter.name}"])
         return flat
 
+    @property
+    def full_deg_s(self) -> float:
+        """The speed that full duty drives it to without a load, in deg/s, on a linear axis in mm/s."""
+        return 100.0 * abs(self.number("linear.gain_deg_s_per_pct"))
+
     def substep_s(self) -> float:
         """Longest step of the kernel in s, 0 where each hold is one exact step."""
-        lag_s, full_deg_s = self.number("linear.tau_s"), 100.0 * abs(self.number("linear.gain_deg_s_per_pct"))
+        lag_s, full_deg_s = self.number("linear.tau_s"), self.full_deg_s
         steps = [item.step_s(self.of(item.name), lag_s, full_deg_s) for item in self.parts()]
         return min((s for s in steps if s is not None), default=0.0)
 

@@ -12,7 +12,6 @@ from itertools import product
 
 import numpy as np
 
-from fiohost.discover.score import FULL_DUTY_PCT
 from fiohost.discover.tables.fit import Rows, TableFit, deviations, fit_tables, squares
 from fiohost.discover.tables.settings import SETTINGS
 from fiohost.discover.trials import Trial, varied
@@ -55,8 +54,7 @@ def held(data: Rows, base: TableFit, item: Effect) -> list[TableFit]:
     """The base model with one effect added, the rest fitted to the sizes that it has, from its best trials; none where
     it leaves no trace.
     """
-    full_deg_s = FULL_DUTY_PCT * base.model.number("linear.gain_deg_s_per_pct")
-    tried = item.tried(Span((0.0, 0.0), (), full_deg_s=full_deg_s))
+    tried = item.tried(Span((0.0, 0.0), (), full_deg_s=base.model.full_deg_s))
     given = [*tried, *_with_starts(item, tried)]
     trials = [base.model.with_effect(item.name, trial) for trial in given]
     before = np.concatenate(base.residuals)
