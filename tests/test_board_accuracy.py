@@ -68,6 +68,7 @@ def test_every_effect_of_the_board_has_a_reference() -> None:
     assert set(SIZES) == set(effects())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("winding", ["none", "with"])
 @pytest.mark.parametrize("name", CASES)
 def test_kernel_follows_the_tight_reference(name: str, winding: str) -> None:

@@ -205,6 +205,7 @@ REFERENCED: dict[str, dict[str, dict[str, Any]]] = {
 ALLOWED_DEG = {name: 1e-8 for name in REFERENCED} | {"loads, friction, sag, heat": 5e-5}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(REFERENCED))
 def test_edges_follow_the_independent_solution(name: str) -> None:
     """Drive, reverse through a stop, coast, brake, crawl and drive again: 0.2 s, 4000 periods."""

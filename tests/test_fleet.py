@@ -75,6 +75,7 @@ def _empty(folder: Path) -> Path:
     return folder / "empty"
 
 
+@pytest.mark.long
 def test_the_command_writes_a_table_and_a_page_and_finds_the_odd_one(line: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ["fleet", str(line), "--out", str(out), "--fit-only", "--processes", "2", "--json", str(tmp_path / "r")]
@@ -121,6 +122,7 @@ def test_a_diagnosis_names_what_the_declared_model_lacks(line: Path) -> None:
     assert summarised([row]).effects == {"coulomb_friction": 1}
 
 
+@pytest.mark.long
 def test_a_process_that_is_killed_loses_nothing(line: Path, tmp_path: Path) -> None:
     benches, killed = find_benches(line), []
 
@@ -138,6 +140,7 @@ def test_a_process_that_is_killed_loses_nothing(line: Path, tmp_path: Path) -> N
     assert len(list((tmp_path / "out" / KEPT).glob("*.json"))) == 8
 
 
+@pytest.mark.long
 def test_what_an_earlier_program_left_is_made_anew(line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     benches = find_benches(line)[:1]
     monkeypatch.setattr("fiohost.fleet.run.SCHEMA", "fiohost.fleet_bench/0")
@@ -151,6 +154,7 @@ def test_what_an_earlier_program_left_is_made_anew(line: Path, tmp_path: Path, m
     assert said[1].endswith("fitted")
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_same_and_a_worker_that_is_killed_loses_nothing(line: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     benches, killed = find_benches(line), []

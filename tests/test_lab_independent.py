@@ -227,6 +227,7 @@ PLACES: dict[int, list[Place]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", SOLUTIONS)
 def test_a_problem_is_right_to_the_printed_digits(number: int) -> None:
     expected = [f"{value:.4g}" for value in SOLUTIONS[number]()]
@@ -256,6 +257,7 @@ def pid_loop(kp: float, ki: float, kd: float, points: int = 80_001) -> tuple[np.
     return times, angle, pushed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [18, 19])
 def test_a_pid_design_is_right_to_the_printed_digits(number: int) -> None:
     """The gains are those of the page's values; every figure beside them is worked out again."""

@@ -95,6 +95,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_effect_of_the_page_is_listed_checked_and_passes_its_own_test(installed: Path) -> None:
     """The page's own text: its module, its entry points, its test, and what it shows of the terminal."""
     assert len([line for line in BLOCKS[0][1].splitlines() if line.strip()]) <= 25
@@ -110,6 +111,7 @@ def test_the_effect_of_the_page_is_listed_checked_and_passes_its_own_test(instal
     assert tested.returncode == 0, tested.stdout
 
 
+@pytest.mark.long
 def test_a_kernel_with_an_effect_of_a_package_is_kept_until_the_effect_changes(tmp_path: Path) -> None:
     cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
     said = []

@@ -164,6 +164,7 @@ def test_a_trial_that_runs_away_has_no_figures(tmp_path: Path) -> None:
     assert np.isfinite(fit_tables(Rows([table]), away, evaluations=0).cost)
 
 
+@pytest.mark.long
 def test_a_hidden_gap_is_found_in_figures_and_rivals_that_leave_as_little_are_named(tmp_path: Path) -> None:
     truth = TRUTH.with_effect("backlash", {"gap_deg": 6.0, "load_inertia_ratio": 0.4, "side": "encoder_before_gap"})
     found = diagnose_tables(
@@ -208,6 +209,7 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     return folder, result
 
 
+@pytest.mark.long("static curve")
 def test_a_static_curve_cannot_tell_a_deadband_from_friction_and_says_so(static: tuple[Path, Result]) -> None:
     found: dict[str, Any] = json.loads((static[0] / "f.json").read_text())
     assert found["verdict"] == "explained"
@@ -294,6 +296,7 @@ def test_steady_points_are_the_formulas() -> None:
 # ---- the command ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long("static curve")
 def test_the_command_prints_writes_and_draws(static: tuple[Path, Result]) -> None:
     folder, result = static
     assert "Missing from linear: coulomb friction (these data cannot tell it from" in result.stdout
