@@ -48,8 +48,9 @@ class State:
 
     @property
     def variance(self) -> float:
-        """Of what is left, in the unit in which residuals are squared: 1 where they are whitened."""
-        return 1.0 if self.noise else self.fit.cost / max(self.fit.samples, 1.0)
+        """Of what is left, in the unit in which residuals are squared: 1 where they are whitened and no more is left."""
+        of_fit = self.fit.cost / max(self.fit.samples, 1.0)
+        return max(of_fit, 1.0) if self.noise else of_fit
 
 
 def deviance_of(fitted: Fit) -> float:

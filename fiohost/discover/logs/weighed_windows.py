@@ -21,7 +21,7 @@ from fiohost.discover.logs.screen import Screen
 from fiohost.discover.logs.whitened import drawing, settle, with_noise, with_scatter
 from fiohost.discover.score import Gain, objection
 from fiohost.discover.settings import SETTINGS, SearchSettings
-from fiohost.estimation.fit import Fit, fit
+from fiohost.estimation.fit import Fit, fit, unchanged
 from fiohost.estimation.record import Record
 from fiohost.judging.followed import ruled
 from fiohost.motor.effect import Effect, effect
@@ -90,9 +90,11 @@ class WeighedWindows(PlainWindows):
         )
 
     def as_they_are(self, state: State) -> Fit:
-        """A state's model fitted to windows as they are."""
+        """A state's model fitted to windows as they are; from where noise led it, if that is nearer to them."""
         if state not in self._as_they_are:
-            near = state.bare or state.fit
+            weighed = unchanged(state.fit.model, self.plain, starts=state.fit.starts, windows=True, zeros=False)
+            near = state.bare if state.bare is not None and state.bare.cost <= weighed.cost else weighed
+            near = replace(near, model=state.fit.model) if near is weighed else near
             found = fit(near.model, self.plain, windows=True, starts=near.starts, max_iterations=20, tolerance=1e-4)
             self._as_they_are[state] = found
         return self._as_they_are[state]

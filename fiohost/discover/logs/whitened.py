@@ -64,9 +64,13 @@ class Settled:
 
     @property
     def deviance(self) -> float:
-        """-2 log restricted likelihood, but for a constant of the windows and of where the shaft stands."""
+        """-2 log restricted likelihood, but for a constant of the windows and of where the shaft stands. Where more is
+        left than the noise of steady motion, the noise is taken for as much larger (its scale concentrated out).
+        """
         weights = sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
-        return self.fit.cost + weights + freedom(self.fit, self.records)
+        cost, n = self.fit.cost, max(self.fit.samples, 1.0)
+        left = cost if cost <= n else n * (1.0 + float(np.log(cost / n)))
+        return left + weights + freedom(self.fit, self.records)
 
 
 def freedom(found: Fit, records: Sequence[Record]) -> float:
