@@ -42,7 +42,9 @@ def _wrap(case: Case) -> float | None:
 
 
 def _unwrapped(case: Case) -> tuple[Case, Finding | None]:
-    """Jumps by about a whole number of turns or of a register's range, and the log without them."""
+    """Jumps of an angle by about a whole number of turns or of a register's range, and the log without them."""
+    if case.record.kind != ANGLE:
+        return case, None
     turn = _wrap(case)
     moduli = sorted({m for m in (turn, turn / 2 if turn else None, *REGISTERS) if m is not None}, reverse=True)
     data, rows, whole = case.data, np.empty(0, dtype=np.int64), 0.0

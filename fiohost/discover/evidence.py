@@ -48,7 +48,7 @@ class State:
 
     @property
     def variance(self) -> float:
-        """Of what is left, in the unit in which residuals are squared: 1 where they are whitened and no more is left."""
+        """Of what is left, in the unit in which residuals are squared: 1 where whitened, unless more is left."""
         of_fit = self.fit.cost / max(self.fit.samples, 1.0)
         return max(of_fit, 1.0) if self.noise else of_fit
 
