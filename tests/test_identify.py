@@ -11,10 +11,11 @@ from fiohost.estimation.fit import fit, fit_from_scratch
 from fiohost.estimation.initial import initial_state
 from fiohost.estimation.intervals import estimates
 from fiohost.estimation.predict import Flat, free_output, free_states, window_residuals
-from fiohost.estimation.record import MEAN_SPEED, SPEED, cut_windows, make_record
+from fiohost.estimation.record import ANGLE, MEAN_SPEED, SPEED, cut_windows, make_record
 from fiohost.judging.metrics import judge
 from fiohost.motor.model import Model
 from fiohost.motor.simulate import Start
+from fiohost.motor.state import BRAKE, DRIVE
 
 
 def test_the_fit_finds_gain_lag_and_friction_from_counts_far_below_one_percent() -> None:
@@ -53,6 +54,28 @@ def test_the_initial_state_of_a_record_that_begins_in_motion_is_found() -> None:
     y = free_output(part, Flat.of(truth), initial_state(part, Flat.of(truth)))
     # The command in force before the first row is not recorded: it is taken as the first one.
     assert np.sqrt(np.mean((part.y - y)[200:] ** 2)) < 0.5
+
+
+@pytest.mark.parametrize(("speed_deg_s", "before"), [(0.0, (0.0, BRAKE)), (400.0, (40.0, DRIVE))])
+@pytest.mark.parametrize("kind", [ANGLE, SPEED])
+def test_noisy_readings_of_a_shaft_at_rest_are_no_motion(
+    kind: int, speed_deg_s: float, before: tuple[float, int]
+) -> None:
+    """What acted before the first row is the first command in motion only; a delay acts on it."""
+    rng, times = np.random.default_rng(5), np.arange(400) * TICK_S
+    speed = speed_deg_s + (400.0 - speed_deg_s) * (1.0 - np.exp(-np.maximum(times - 0.03, 0.0) / 0.07))
+    angle = np.concatenate(([0.0], np.cumsum(speed[:-1]) * TICK_S))
+    made = angle + rng.normal(0.0, 0.3, len(times)) if kind == ANGLE else speed + rng.normal(0.0, 20.0, len(times))
+    begun = make_record(
+        "noisy",
+        times,
+        np.full(len(times), 40.0),
+        made,
+        kind=kind,
+        unit="deg" if kind == ANGLE else "deg/s",
+        quantum=0.01,
+    ).excitation
+    assert (begun.duties_pct[0], begun.modes[0]) == before
 
 
 def test_speed_logs_are_first_class() -> None:

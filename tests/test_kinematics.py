@@ -15,7 +15,7 @@ from short_runs import multisine as tones
 from fiohost.checks.finding import Finding
 from fiohost.checks.kinematics import check
 from fiohost.checks.said import Said, said_by
-from fiohost.estimation.record import MEAN_SPEED, Record, make_record, record_from_log
+from fiohost.estimation.record import MEAN_SPEED, SPEED, Record, make_record, record_from_log
 
 
 def found_in(*records: Record, said: Said | None = None) -> list[Finding]:
@@ -221,6 +221,17 @@ def test_a_load_over_the_turn_is_no_error_of_the_encoder() -> None:
     slow = eccentric(turning([40.0, 0.0, 40.0], effect={"level_pct": 2.0}), 0.0, 1)
     fast = eccentric(turning([90.0, 0.0, 90.0], effect={"level_pct": 2.0}), 0.0, 1)
     assert found_in(slow, replace(fast, name="fast")) == []
+
+
+def test_a_speed_that_leaps_is_no_counter_that_wrapped() -> None:
+    """A shaft thrown back by what it ran against turns the other way within a sample."""
+    source, quantum = record(3), 0.01
+    speed = np.where(np.arange(len(source)) < 900, 1.0, -1.0) * 32768.0 * quantum
+    made = make_record(
+        "speed", source.excitation.times_s, source.excitation.duties_pct[1:], speed, kind=SPEED, unit="deg/s",
+        quantum=quantum,
+    )  # fmt: skip
+    assert "wrap_mistake" not in {f.name for f in found_in(made)}
 
 
 def test_speed_logs_are_checked_as_counts_an_interval() -> None:

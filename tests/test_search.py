@@ -116,6 +116,27 @@ def test_an_effect_that_only_led_to_a_better_fit_of_another_is_not_named() -> No
     assert search.run(search.declared(Model(()), False)).names == {FIRST}
 
 
+def test_a_name_that_vanishes_beside_the_next_one_was_mistaken_for_it_and_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the third the first is not distinct from none: that is no objection to the third."""
+    left = {(): 1e4, (FIRST,): 5000.0, (THIRD,): 6000.0, (FIRST, THIRD): 150.0}
+    for have, deviance in left.items():
+        for beside in (False, True):
+            monkeypatch.setitem(LEFT, (have, beside), deviance)
+    monkeypatch.setitem(LEFT, ((THIRD,), True), 200.0)
+
+    def gone(self: Table, state: State, name: str) -> bool:
+        return name == FIRST and THIRD in state.fit.names
+
+    def doubted(self: Table, state: State, names: Sequence[str]) -> str | None:
+        return "the first vanishes" if FIRST in names and THIRD in state.fit.names else None
+
+    monkeypatch.setattr(Table, "vanishes", gone)
+    monkeypatch.setattr(Table, "degenerate", doubted)
+    search = Search(Table(), (FIRST, THIRD), lambda text: None)
+    found = search.run(search.declared(Model(()), False))
+    assert (set(found.names), found.state.deviance) == ({THIRD}, 200.0)
+
+
 def test_a_null_of_few_samples_decides_where_no_candidate_gains_about_what_it_has_to(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_data import suite, truth_model
+from bench_data import measure, steps, suite, truth_model
 
 from fiohost.discover.diagnose import Diagnosis, diagnose_records
 from fiohost.discover.logs.job import Job
 from fiohost.discover.logs.movement import at_rest, movement, standing
+from fiohost.discover.logs.optimise import again
 from fiohost.discover.logs.refit import LogsBeside, ranked
 from fiohost.discover.logs.rough import rough_fits
 from fiohost.discover.logs.weighed_windows import WeighedWindows
@@ -335,3 +336,22 @@ def test_what_is_carried_to_its_minimum_begins_under_noise_and_in_windows_as_the
     assert [job.name for job in jobs] == [shown.name] * 2
     assert [job.records is screen.records for job, screen in zip(jobs, beside.screens[::-1], strict=True)] == [True] * 2
     assert all(f.cost < job.base.cost for job, f in zip(jobs, rough, strict=True))
+
+
+def test_a_name_gains_though_steady_motion_knows_nothing_of_what_more_is_missing() -> None:
+    """A deadband explains steady motion to the count; where the shaft creeps from tooth to tooth cogging is left, which
+    noise of that size does not hold. Less likely than the model without it the deadband cannot be.
+    """
+    sizes = {"input_deadband.level_pct": 5.0, "cogging_torque.order": 12.0, "cogging_torque.level_pct": 2.6}
+    slow = {"linear.gain_deg_s_per_pct": 100.0, "linear.tau_s": 0.15}
+    truth = truth_model(("coulomb_friction", "input_deadband", "cogging_torque"), {**slow, **sizes})
+    rng = np.random.default_rng(1)
+    logs = WeighedWindows([measure(truth, steps(8.0, rng), rng, name=f"run {k}") for k in range(3)])
+    declared = logs.declared(Model.parse("linear+coulomb_friction"), False)
+    ((_, found),) = LogsBeside(logs, declared).refitted([effect("input_deadband")], lambda text: None)
+    assert found.fit.model.number("input_deadband.level_pct") == pytest.approx(5.0, abs=1.0)
+    assert declared.deviance - found.deviance > 300.0
+    alone = logs.settled(again(declared.fit, found.fit.model, declared.records))
+    assert alone.fit.rms > 1.5
+    assert alone.deviance > declared.deviance
+    assert alone.variance == pytest.approx(alone.fit.rms**2)

@@ -69,7 +69,8 @@ class Belief(Generic[J]):
             return f"gains {max(child.gain, 0.0):.0f} of deviance, chance alone {null.of(child.name):.0f}"
         if node.added and (why := e.immaterial(node.state, after)):
             return why
-        names = [child.name, *node.names]
+        # An earlier name that vanishes beside this one was mistaken for a part of it, and goes.
+        names = [child.name, *(n for n in node.names if not e.vanishes(after, n))]
         if not of.once and e.plainly(node.state, after, names):  # no other record can confirm an event
             return None
         if why := e.degenerate(after, names):

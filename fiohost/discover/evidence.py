@@ -59,6 +59,14 @@ def deviance_of(fitted: Fit) -> float:
     return n * float(np.log(max(fitted.cost / n, 1e-300)))
 
 
+def whitened_deviance(fitted: Fit) -> float:
+    """The same of a fit whitened by the noise of steady motion, but for the weights. Where more is left than that
+    noise, it is taken for as much larger (its scale concentrated out).
+    """
+    cost, n = fitted.cost, max(fitted.samples, 1.0)
+    return cost if cost <= n else n * (1.0 + float(np.log(cost / n)))
+
+
 class Judged(Protocol):
     """A fitted model beside the floor that its data could reach: its error there, whether it follows the data as
     closely as they can tell, and the error as a share of what there is to explain.
@@ -168,6 +176,10 @@ class Evidence(ABC, Generic[J]):
     def degenerate(self, state: State, names: Sequence[str]) -> str | None:
         """Why a fit cannot be believed by its own parameters, or None; ``names`` are the effects to be asked about."""
         return None
+
+    def vanishes(self, state: State, name: str) -> bool:
+        """Whether one of a state's effects may as well not be there, by its fitted parameters."""
+        return False
 
     def unconfirmed(self, before: State, after: State, name: str) -> str | None:
         """Why no other data confirm an effect, or None."""

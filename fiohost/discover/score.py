@@ -59,6 +59,11 @@ def objection(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | No
     return at_a_bound(found, name, replicas) or _vanishing(found, name, _smooth(found, name, replicas))
 
 
+def vanishes(found: Fit, name: str) -> bool:
+    """Whether a fitted effect may as well not be there, by its parameters alone."""
+    return _vanishing(found, name, _smooth(found, name)) is not None
+
+
 def at_a_bound(found: Fit, name: str, replicas: Sequence[Model] = ()) -> str | None:
     """Which parameter of a fitted effect went as far as it may, or None."""
     full = found.model.full_deg_s

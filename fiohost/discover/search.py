@@ -263,12 +263,14 @@ class Search(Generic[J]):
         return added.after
 
     def needed(self, state: State, node: Node) -> tuple[State, list[str]]:
-        """A state without those of a node's effects that the deviance does not ask for any more, and which."""
+        """A state without those of a node's effects that the deviance does not ask for any more, or that may as well
+        not be there, and which.
+        """
         asks, dropped = {a.child.name: self.belief.margin(a.child.effect) * a.level for a in node.added}, []
         for name in [e for e in state.fit.model.effects if e in asks]:
             less = self.evidence.without(state, name)
             asked = max(asks[name], self.settings.equal_deviance)
-            if less.deviance - state.deviance < asked:
+            if less.deviance - state.deviance < asked or self.evidence.vanishes(state, name):
                 self.say(f"{name} is no longer needed")
                 state = less
                 dropped.append(name)

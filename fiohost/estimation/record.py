@@ -28,6 +28,8 @@ GOLDEN = 0.6180339887498949
 # Standstill of one reading counts for no more than so much motion.
 REST_COUNTS_S = 0.05
 BRAKE = 2
+# A reading stands off by more than the noise that fourth differences show (median of sizes), if by so many sigmas.
+SURE_SIGMAS = 4.0
 # Running medians over so long take the fast noise off.
 SMOOTH_S = 0.05
 # The mean of a normal variable's absolute value.
@@ -308,10 +310,12 @@ def make_record(
 
 
 def _in_motion(y: np.ndarray, kind: int, quantum: float) -> bool:
-    """Whether the first samples show more motion than a start from rest could."""
+    """Whether the first samples show more motion than a start from rest could, and more than readings scatter by."""
+    noise = SURE_SIGMAS * 1.4826 * float(np.median(np.abs(np.diff(y, n=4)))) / float(np.sqrt(70.0))
     if kind == ANGLE:
-        return bool(abs(y[2] - y[0]) >= 3.0 * quantum) if quantum > 0 else bool(y[1] != y[0])
-    return bool(abs(y[0]) > 2.0 * quantum)
+        least = max(3.0 * quantum, float(np.sqrt(2.0)) * noise)
+        return bool(abs(y[2] - y[0]) >= least) if least > 0.0 else bool(y[1] != y[0])
+    return bool(abs(y[0]) > max(2.0 * quantum, noise))
 
 
 def acting_duty(duty_pct: np.ndarray, duty_steps: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from fiohost.discover.logs.optimise import again, carried_on
 from fiohost.discover.logs.refit import LogsBeside
 from fiohost.discover.logs.screen import Screen
 from fiohost.discover.logs.whitened import drawing, plain
-from fiohost.discover.score import Gain, objection
+from fiohost.discover.score import Gain, objection, vanishes
 from fiohost.discover.settings import SETTINGS, SearchSettings
 from fiohost.estimation.fit import Fit, fit_from_scratch
 from fiohost.estimation.record import Record
@@ -161,6 +161,9 @@ class Logs(Evidence[Stage]):
         lost = core_lost(state.bare or state.fit)
         # Of noise that is none weights promise too much; of noise that is one, windows as they are know too little.
         return lost if lost is None or state.bare is None or not self.white(state) else core_lost(state.fit)
+
+    def vanishes(self, state: State, name: str) -> bool:
+        return vanishes(state.fit, name)
 
     def unconfirmed(self, before: State, after: State, name: str) -> str | None:
         group = only_in(after.fit, name, self.groups)

@@ -13,7 +13,7 @@ from fiohost.discover.logs.non_smooth import thorough_fit
 from fiohost.discover.logs.optimise import OPTIMISER, carried_on, cost_of
 from fiohost.discover.logs.scores import Score
 from fiohost.discover.logs.screen import Screen
-from fiohost.discover.logs.within import within_noise
+from fiohost.discover.logs.within import under_noise_of, within_noise
 from fiohost.discover.score import objection
 from fiohost.estimation.fit import Fit
 from fiohost.motor.effect import Effect
@@ -98,8 +98,13 @@ class Finals:
         fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
-            known = there.get(i) or in_noise.get(i)
-            return known or self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+            if known := there.get(i) or in_noise.get(i):
+                return known
+            found = self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+            if self.state.noise is None or found.deviance <= self.state.deviance:
+                return found
+            # A model cannot be less likely than one that it holds: what steady motion says of its noise is too little.
+            return min(found, under_noise_of(self.state, fits[i], jobs[i].records), key=lambda s: s.deviance)
 
         def apart(ways: Sequence[int]) -> Sequence[int]:
             """Of two ways that came to the same, the first."""

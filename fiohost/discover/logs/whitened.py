@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fiohost.discover.evidence import whitened_deviance
 from fiohost.discover.logs.movement import at_rest, coasting, movement, settling_s, simulated_in_windows, standing
 from fiohost.discover.settings import SETTINGS
 from fiohost.estimation.fit import Fit, fit
@@ -64,13 +65,9 @@ class Settled:
 
     @property
     def deviance(self) -> float:
-        """-2 log restricted likelihood, but for a constant of the windows and of where the shaft stands. Where more is
-        left than the noise of steady motion, the noise is taken for as much larger (its scale concentrated out).
-        """
+        """-2 log restricted likelihood, but for a constant of the windows and of where the shaft stands."""
         weights = sum(r.disturbance.log_determinant for r in self.records if r.disturbance is not None)
-        cost, n = self.fit.cost, max(self.fit.samples, 1.0)
-        left = cost if cost <= n else n * (1.0 + float(np.log(cost / n)))
-        return left + weights + freedom(self.fit, self.records)
+        return whitened_deviance(self.fit) + weights + freedom(self.fit, self.records)
 
 
 def freedom(found: Fit, records: Sequence[Record]) -> float:

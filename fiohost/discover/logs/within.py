@@ -1,4 +1,6 @@
-"""Candidates that need not be settled on: the noise that is there already says that they gain too little."""
+"""Candidates under the noise that is there already: where it says that they gain too little they need not be settled
+on, and where they lack more beside, it is what they are judged by.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fiohost.discover.evidence import State
+from fiohost.discover.evidence import State, whitened_deviance
 from fiohost.discover.logs.bootstrap import draw_null
 from fiohost.discover.logs.job import Job, Logs
 from fiohost.discover.logs.optimise import OPTIMISER, again
 from fiohost.discover.logs.scores import Score
 from fiohost.discover.logs.screen import Screen
 from fiohost.estimation.fit import Fit
+from fiohost.estimation.record import Record
 from fiohost.noise.runs import LOAD_EFFECT
 from fiohost.workers import each
 
@@ -40,16 +43,18 @@ def within_noise(
     if logs.exact or state.noise is None or not asked:
         return {}
 
-    def under_it(i: int) -> Fit:
-        whitened = jobs[i].records is state.records
-        return fits[i] if whitened else again(state.fit, fits[i].model, state.records, 12, OPTIMISER.near_enough)
-
     guide = replace(logs.settings, draws=logs.settings.draws_of_a_guide)
     null = draw_null(state.fit, state.records, screen, scores, np.random.default_rng(NULL_SEED), guide)
     least = logs.margin / logs.settings.plainly_told
-    found = dict(zip(asked, each(under_it, asked), strict=True))
-    if any(state.fit.cost - f.cost >= least * null.of(effects[i].name) for i, f in found.items()):
+    found = dict(zip(asked, each(lambda i: under_noise_of(state, fits[i], jobs[i].records), asked), strict=True))
+    if any(state.fit.cost - s.fit.cost >= least * null.of(effects[i].name) for i, s in found.items()):
         return {}
-    if not logs.white(state):
-        return {}
-    return {i: replace(state, fit=f, deviance=state.deviance - state.fit.cost + f.cost) for i, f in found.items()}
+    return found if logs.white(state) else {}
+
+
+def under_noise_of(state: State, found: Fit, records: Sequence[Record]) -> State:
+    """The state of a fit to windows of ``records`` under the noise that another ``state`` leaves."""
+    if records is not state.records:
+        found = again(state.fit, found.model, state.records, 12, OPTIMISER.near_enough)
+    gain = whitened_deviance(state.fit) - whitened_deviance(found)
+    return replace(state, fit=found, deviance=state.deviance - gain, bare=None)
