@@ -14,6 +14,7 @@ from fiohost.discover.evidence import State
 from fiohost.discover.logs import non_smooth
 from fiohost.discover.logs.evidence import Logs
 from fiohost.discover.logs.job import Job
+from fiohost.discover.logs.ladder import Ladder
 from fiohost.discover.logs.optimise import fits_anew
 from fiohost.discover.logs.plain_windows import PlainWindows
 from fiohost.discover.logs.rough import rough_fits
@@ -153,6 +154,23 @@ def test_where_no_name_leads_whole_runs_there_a_curve_over_the_angle_does() -> N
     asked = said.index("general curves over the angle beside them")
     assert said[asked + 1].startswith("scoring 1 effects"), said  # what windows said of the others stands
     assert not any("anew" in text or "noise" in text for text in said), said
+
+
+@pytest.mark.parametrize("missing", ["quadratic_drag", "static_friction"])
+def test_where_names_leave_counts_alone_no_curve_over_the_angle_is_asked_for(
+    missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whole runs may err by the last digit of a model that windows are explained by; a curve took minutes to say so."""
+    truth = truth_model().with_effect(missing)
+    monkeypatch.setattr(Ladder, "_led", lambda self, seen, most=None: None)
+    monkeypatch.setattr(Ladder, "_anew", lambda self: None)
+    monkeypatch.setattr(Ladder, "_at_the_floor", lambda self, node: False)
+    said: list[str] = []
+    library = ["quadratic_drag", "load_over_position"]
+    rng = np.random.default_rng(0)
+    Ladder(suite(truth, 11), DECLARED, library, False, rng, said.append, (), (), 0.0)._by_plain_windows()
+    asked = any(text.startswith("general curves") for text in said)
+    assert asked is (missing not in library), said
 
 
 def test_of_a_model_that_runs_away_it_is_not_known_how_runs_differ() -> None:

@@ -199,7 +199,8 @@ class SearchSettings:
     rare: float = 1.0
     # A shaft rests that moves for less than this share of the time, as readings weigh in a fit of whole runs.
     mostly: float = 0.5
-    # Of few logs, what leaves so many times the squared error of counts may be on a ledge beside one that leaves these.
+    # What leaves so many times the squared error of counts at most may be on a ledge beside one that leaves these, and
+    # leaves nothing for a curve over the angle.
     near_counts: float = 4.0
     # A fit is at its floor within this factor; beyond the second one gradients lead nowhere.
     finished: float = 1.1

@@ -157,7 +157,8 @@ class Ladder:
         best = self._led(seen, SETTINGS.most_before_windows) if seen.added else None
         if not best and seen.added and self._at_the_floor(led := self._finished_whole(seen)):
             return self.whole.found(self.root, led)
-        if not best and self.general:
+        named = seen.added and self.runs.near_counts(seen.state)
+        if not best and self.general and not named:
             self.say("general curves over the angle beside them")
             curved = search.run(root) if search.also(root, self.general) else seen
             best = self._led(curved, SETTINGS.most_before_windows) if curved.names - seen.names else None
