@@ -98,13 +98,14 @@ class Finals:
         fits |= zip(finals, each(thorough, finals), strict=True)
 
         def settled(i: int) -> State:
-            if known := there.get(i) or in_noise.get(i):
-                return known
-            found = self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
-            if self.state.noise is None or found.deviance <= self.state.deviance:
-                return found
-            # A model cannot be less likely than one that it holds: what steady motion says of its noise is too little.
-            return min(found, under_noise_of(self.state, fits[i], jobs[i].records), key=lambda s: s.deviance)
+            known = there.get(i) or in_noise.get(i)
+            return known or self.logs.settled(fits[i], whitened=jobs[i].records is self.state.records)
+
+        def likely(i: int, state: State) -> State:
+            """No model is less likely than one it holds: if it seems so, the noise of steady motion is too small."""
+            if self.state.noise is None or state.deviance <= self.state.deviance:
+                return state
+            return min(state, under_noise_of(self.state, fits[i], jobs[i].records), key=lambda s: s.deviance)
 
         def apart(ways: Sequence[int]) -> Sequence[int]:
             """Of two ways that came to the same, the first."""
@@ -115,8 +116,10 @@ class Finals:
             return [one] if same else ways
 
         left = [i for ways in kept for i in apart(ways)]
-        best: dict[str, tuple[Effect, State]] = {}
+        best: dict[str, tuple[int, State]] = {}
         for i, state in zip(left, each(settled, left), strict=True):
             if jobs[i].name not in best or state.deviance < best[jobs[i].name][1].deviance:
-                best[jobs[i].name] = jobs[i].score.effect, state
-        return best
+                best[jobs[i].name] = i, state
+        states = each(lambda of: likely(*of), list(best.values()))
+        effects = (jobs[i].score.effect for i, _ in best.values())
+        return dict(zip(best, zip(effects, states, strict=True), strict=True))
