@@ -24,7 +24,7 @@ from fiohost.checks.finding import Case, Finding, Skipped
 from fiohost.checks.order_locked import SPEED_RATIO, Ripple, ripples
 from fiohost.checks.said import Said
 from fiohost.checks.timing import doubtful_rows, found_step, irregular_stamps, missing_ticks, sampling_jitter
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, SPEED, Record
 
 TURN_DEG = 360.0
 REGISTERS = (256.0, 65536.0)
@@ -42,8 +42,10 @@ def _wrap(case: Case) -> float | None:
 
 
 def _unwrapped(case: Case) -> tuple[Case, Finding | None]:
-    """Jumps of an angle by about a whole number of turns or of a register's range, and the log without them."""
-    if case.record.kind != ANGLE:
+    """Jumps by about a whole number of turns or of a register's range, and the log without them; a tachometer counts
+    nothing.
+    """
+    if case.record.kind == SPEED:
         return case, None
     turn = _wrap(case)
     moduli = sorted({m for m in (turn, turn / 2 if turn else None, *REGISTERS) if m is not None}, reverse=True)
