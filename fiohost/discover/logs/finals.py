@@ -104,7 +104,8 @@ class Finals:
         def likely(i: int, state: State) -> State:
             """No model is less likely than one it holds: if it seems so, the noise of steady motion is too small."""
             holds = set(self.state.fit.model.effects) <= set(state.fit.model.effects)
-            if self.state.noise is None or not holds or state.deviance <= self.state.deviance:
+            too_small = state.noise is not None and state.variance > 1.0 and state.deviance > self.state.deviance
+            if not (holds and too_small):
                 return state
             return min(state, under_noise_of(self.state, fits[i], jobs[i].records), key=lambda s: s.deviance)
 
