@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, FOURTH_DIFFERENCE, TO_SIGMA, Record
 
 # A second difference of readings that are each wrong by less than a count is wrong by less than two.
 COUNTS_OF_DOUBT = 2.0
@@ -23,8 +23,6 @@ SPAN, REACH, FEW = 4, 1.5, 0.003
 # Standard deviation of a count in counts; an analogue sensor's noise is what its readings show beyond it.
 COUNT_NOISE = 1.0 / np.sqrt(12.0)
 NOISE_SIGMAS = 5.0
-FOURTH_DIFFERENCE = np.sqrt(70.0)  # its noise gain
-TO_SIGMA = 1.4826  # a median of sizes, taken for a normal distribution's
 # At a steady speed of so many counts and a half a sample the counts' errors alternate by a quarter, the roughest that
 # counts alone can be; a fourth difference makes sixteen of one.
 ROUGHEST_COUNTS = 1.2 * TO_SIGMA * 0.25 * 16.0 / FOURTH_DIFFERENCE

@@ -28,7 +28,9 @@ GOLDEN = 0.6180339887498949
 # Standstill of one reading counts for no more than so much motion.
 REST_COUNTS_S = 0.05
 BRAKE = 2
-# A reading stands off by more than the noise that fourth differences show (median of sizes), if by so many sigmas.
+# The noise gain of fourth differences, and a median of sizes taken for a normal distribution's.
+FOURTH_DIFFERENCE, TO_SIGMA = 70.0**0.5, 1.4826
+# A reading stands off by more than the noise that fourth differences show, if by so many sigmas.
 SURE_SIGMAS = 4.0
 # Running medians over so long take the fast noise off.
 SMOOTH_S = 0.05
@@ -311,7 +313,7 @@ def make_record(
 
 def _in_motion(y: np.ndarray, kind: int, quantum: float) -> bool:
     """Whether the first samples show more motion than a start from rest could, and more than readings scatter by."""
-    noise = SURE_SIGMAS * 1.4826 * float(np.median(np.abs(np.diff(y, n=4)))) / float(np.sqrt(70.0))
+    noise = SURE_SIGMAS * TO_SIGMA * float(np.median(np.abs(np.diff(y, n=4)))) / FOURTH_DIFFERENCE
     if kind == ANGLE:
         least = max(3.0 * quantum, float(np.sqrt(2.0)) * noise)
         return bool(abs(y[2] - y[0]) >= least) if least > 0.0 else bool(y[1] != y[0])
