@@ -19,7 +19,7 @@ from fiohost.motor.effect import Effect, effects
 from fiohost.motor.model import Model
 
 FIRST, OTHER = "coulomb_friction", "constant_load"
-THIRD, EVENT = "transport_delay", "parameter_change"
+THIRD, FOURTH, EVENT = "transport_delay", "gravity_load", "parameter_change"
 SAMPLES = 100.0
 # By what is in a model, and whether its fit begins where the other effect was beside: the first stops half-way alone.
 LEFT = {
@@ -48,7 +48,7 @@ class Stage:
 
 
 def state(names: Sequence[str], beside: bool = False) -> State:
-    deviance = LEFT[tuple(n for n in (FIRST, OTHER, THIRD, EVENT) if n in names), beside]
+    deviance = LEFT[tuple(n for n in (FIRST, OTHER, THIRD, FOURTH, EVENT) if n in names), beside]
     fit = Fit(Model(tuple(names)), tuple(names), SAMPLES + deviance, (), (), (), (), True, SAMPLES)
     return State(fit, deviance)
 
@@ -135,6 +135,24 @@ def test_a_name_that_vanishes_beside_the_next_one_was_mistaken_for_it_and_goes(m
     search = Search(Table(), (FIRST, THIRD), lambda text: None)
     found = search.run(search.declared(Model(()), False))
     assert (set(found.names), found.state.deviance) == ({THIRD}, 200.0)
+
+
+def test_what_takes_the_place_of_another_is_asked_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first hides that the third is missing; beside those that are left when it has gone the fourth is seen."""
+
+    class Left(dict[tuple[tuple[str, ...], bool], float]):
+        def __missing__(self, key: tuple[tuple[str, ...], bool]) -> float:
+            names = set(key[0])
+            if FIRST in names:
+                return 2000.0 if OTHER in names else 3000.0
+            if names >= {OTHER, THIRD}:
+                return 300.0 if FOURTH in names else 1000.0
+            return 5000.0 - 1800.0 * (FOURTH in names) - 900.0 * (OTHER in names) - 500.0 * (THIRD in names)
+
+    monkeypatch.setattr("test_search.LEFT", Left())
+    monkeypatch.setattr(Table, "exact", False)
+    search = Search(Table(), (FIRST, OTHER, THIRD, FOURTH), lambda text: None)
+    assert search.run(search.declared(Model(()), False)).names == {OTHER, THIRD, FOURTH}
 
 
 def test_a_null_of_few_samples_decides_where_no_candidate_gains_about_what_it_has_to(

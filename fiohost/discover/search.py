@@ -54,8 +54,21 @@ class Search(Generic[J]):
         return Node(self.evidence.finished(self.evidence.declared(model, from_file)))
 
     def run(self, root: Node, most: int | None = None) -> Node:
-        """The best structure that the data speak for, with so many effects at most."""
-        beam, best, most = [root], root, most or self.settings.most_effects
+        """The best structure that the data speak for, with so many effects at most. What is exchanged at the end for
+        what led there is asked in its turn what it lacks.
+        """
+        most = most or self.settings.most_effects
+        best, seen = self.longest(root, most), set[frozenset[str]]()
+        while (other := self.exchanged(best)) is not best and other.names not in seen:
+            seen.add(other.names)
+            best = self.longest(other, most)
+            if best is other:
+                break
+        return other
+
+    def longest(self, root: Node, most: int) -> Node:
+        """The best structure that effects added to one lead to."""
+        beam, best = [root], root
         while len(best.added) < most and not (self.explains(best) or self.in_vain(best)):
             beam = self.belief.best_first(self.next_ones(beam))
             # Beside more names than most motors lack, the best structure alone is carried on.
@@ -67,7 +80,7 @@ class Search(Generic[J]):
             if not self.explains(best) and (other := self.in_its_place(best, best.added[-1])):
                 beam = [other, *(n for n in beam if n.names != other.names)][: len(beam)]
                 best = other
-        return self.exchanged(best)
+        return best
 
     def in_its_place(self, node: Node, named: Added) -> Node | None:
         """A node with another effect in the place of one that was added, which led the fit to where that other explains

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from fiohost.estimation.predict import Flat, errors, fitted_windows, some_windows, squared
-from fiohost.estimation.record import ANGLE, Record
+from fiohost.estimation.record import ANGLE, Record, one_by_one
 from fiohost.estimation.settings import SETTINGS
 from fiohost.motor.simulate import Start, start_state
 from fiohost.motor.state import GAP, SHARE, SMALLEST_SHARE
@@ -106,12 +106,16 @@ def find_zero(
 
     Looked for all around what repeats with the turn; with ``near`` only there, and where other orders than one of the
     model's would leave that one as it is. Then ``closely`` along the line: where the shaft sticks, slopes say little.
+    Each window is taken to err by a size of its own: one in which a weight is not lifted that was may be whole turns
+    off, and says little of where the zero is.
     """
     data = record.y if y is None else y
     angles = record.angles(data)
     firsts, ends, speeds = _look_windows(record, angles)
     if not len(firsts):
         return near or 0.0
+    own, lengths = one_by_one(firsts, ends), (ends - firsts).astype(float)
+    least = max(record.quantum**2 / 12.0, 1e-12 * float(np.var(data)), 1e-300)
     orders = flat.orders()
     once, fastest = gcd(*orders), max(orders)
 
@@ -120,7 +124,8 @@ def find_zero(
         begins = [Start(float(angles[a]), speed) for a, speed in zip(firsts, speeds, strict=True)]
         bases = np.array([start_state(begin, seen.p, seen.on) for begin in begins])
         residuals, _, _, _ = fitted_windows(record, seen, data, (firsts, ends), bases, True)
-        return float(residuals @ residuals)
+        squares = np.add.reduceat(residuals**2, own[:-1])
+        return float(lengths @ np.log(squares / lengths + least))
 
     if near is None:
         looks = BEGINNING.zero_looks * (fastest // once)

@@ -22,7 +22,7 @@ EXCEL_DAYS = (20_000.0, 80_000.0)
 
 @dataclass(frozen=True)
 class Clock:
-    """How rows get their times; ``line`` and ``assumed`` say it in words."""
+    """How rows get their times, ``tick_s`` apart; ``line`` and ``assumed`` say it in words."""
 
     column: str | None
     scale: float = 1.0
@@ -30,6 +30,7 @@ class Clock:
     sample_time_s: float = 0.0
     line: str = ""
     assumed: str = ""
+    tick_s: float = 0.0
 
 
 def clock_of(head: Head, path: Path) -> Clock:
@@ -59,7 +60,7 @@ def clock_of(head: Head, path: Path) -> Clock:
     tick_s = float(np.median(moving)) * scale
     kind = "dates or clock" if column.kind == TIME else _unit_words(scale)
     line = f"time: {name!r}, {kind}, rows {tick_s:.6g} s apart" + (f", begins anew at {wrap:.0f}" if wrap else "")
-    return Clock(name, scale, wrap, line=line, assumed=assumed)
+    return Clock(name, scale, wrap, line=line, assumed=assumed, tick_s=tick_s)
 
 
 def _scale(head: Head, values: FloatArray, step: float) -> tuple[float, str]:
@@ -101,6 +102,7 @@ def _coarse(name: str, values: FloatArray, scale: float, path: Path) -> Clock:
         sample_time_s=tick_s,
         line=f"time: {name!r} is too coarse for single rows",
         assumed=f"rows are evenly spaced, {tick_s:g} s apart: {np.mean(counts):.3g} of them share a time of {name!r}",
+        tick_s=tick_s,
     )
 
 

@@ -18,6 +18,8 @@ from fiohost.importing.units import MAP_UNITS, unit_of
 from fiohost.settings import nearest
 
 COARSE = 2000.0  # levels of a speed over its range: fewer come from counted pulses, a mean since the row before
+TURN = {"deg/s": 360.0, "rad/s": 2.0 * np.pi, "rpm": 60.0, "rev/s": 1.0}  # one turn a second
+WHOLE, MOST_COUNTS = 0.02, 1e5  # so near to a whole number of counts a turn, of so many at most
 TURN_PATTERNS = (
     r"(\d{2,7})\s*(?:counts?|cpr|ppr|ticks?|inc\w*|pulses?|impulse?|imp|striche|lines)?\.?\s*(?:/|per|pro|je)\s*(?:rev\w*|turn|umdr\w*|u\b)",
     r"\b(?:cpr|ppr|counts[ _]per[ _](?:rev\w*|turn)|ticks[ _]per[ _]rev\w*|inkremente)\D{0,6}(\d{2,7})",
@@ -31,6 +33,7 @@ def sensor_of(
     columns: Sequence[RawColumn],
     answers: Answers,
     found: Found,
+    tick_s: float,
     by_speed: Callable[[float], tuple[float, str] | None] = lambda wrap: None,
 ) -> TableMap | None:
     """The part of the map that is the output's; *columns* are its column in all tables of a bench: its sensor is one,
@@ -68,7 +71,8 @@ def sensor_of(
     quantity = MAP_UNITS[unit][0]
     span = float(np.ptp(values) * abs(scale)) if values.size else 0.0
     coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
-    average = "previous_interval" if coarse else "instant"
+    counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, quantum, tick_s)
+    average = "previous_interval" if coarse or counts else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
     parts += (
         ["resolution 1 count" if quantum == 1 and unit == "counts" else f"resolution {quantum:.6g} {unit}"]
@@ -79,11 +83,25 @@ def sensor_of(
     parts += [f"{turn:g} counts a turn"] if turn else []
     if coarse:
         found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
+    if counts:
+        step = f"a step of {column.name!r} is one of {counts} counts of a turn a row"
+        found.assumed.append(f"{step}: the mean since the row before (average in a map)")
     found.lines.append(", ".join(parts))
     return TableMap(
         name="found", output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
         wrap=wrap, counts_per_rev=turn if turn and turn != wrap else 0.0,
     )  # fmt: skip
+
+
+def _counts_of_a_step(unit: str, quantum: float, tick_s: float) -> int:
+    """The whole number of counts of a turn of which one a row makes a speed's step, 0 where there is none. Steps of 1, 2
+    and 5 times a power of ten are those of a display.
+    """
+    if unit not in TURN or min(quantum, tick_s) <= 0.0 or f"{quantum:.3e}"[:5] in ("1.000", "2.000", "5.000"):
+        return 0
+    counts = TURN[unit] / (quantum * tick_s)
+    whole = abs(counts - round(counts)) < WHOLE and counts < MOST_COUNTS
+    return round(counts) if whole else 0
 
 
 def _output_unit(

@@ -92,7 +92,7 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     needs = [name for name in (command.column.name, output.column.name, clock.column) if name]
     tables = (raw, *(t for t in alike if all(t.column(n).kind == raw.column(n).kind for n in needs)))
     sensor = sensor_of(
-        raw, output, _columns(output, alike), answers, found,
+        raw, output, _columns(output, alike), answers, found, clock.tick_s,
         by_speed=lambda wrap: turn_by_speed(tables, heads, output.column.name, wrap, clock),
     )  # fmt: skip
     scale = _scale(raw, command, _columns(command, others), heads, answers, found)
@@ -130,7 +130,7 @@ def _done(raw: RawTable, table_map: TableMap | None, found: Found, answers: Answ
 def _clock(raw: RawTable, heads: Sequence[Head], answers: Answers, found: Found) -> Clock | None:
     if answers.sample_time_s is not None and answers.time is None:
         found.lines.append(f"time: no column, rows {answers.sample_time_s:g} s apart")
-        return Clock(None, sample_time_s=answers.sample_time_s)
+        return Clock(None, sample_time_s=answers.sample_time_s, tick_s=answers.sample_time_s)
     likely = [h for h in heads if h.column.name == answers.time] if answers.time else []
     if not likely:
         likely = sorted((h for h in heads if h.score(roles.TIME) > 1.0), key=lambda h: -h.score(roles.TIME))
