@@ -94,8 +94,8 @@ def sensor_of(
 
 
 def _counts_of_a_step(unit: str, quantum: float, tick_s: float) -> int:
-    """The whole number of counts of a turn of which one a row makes a speed's step, 0 where there is none. Steps of 1, 2
-    and 5 times a power of ten are those of a display.
+    """The whole number of counts of a turn of which one a row makes a speed's step, 0 where there is none. Steps of 1,
+    2 and 5 times a power of ten are those of a display.
     """
     if unit not in TURN or min(quantum, tick_s) <= 0.0 or f"{quantum:.3e}"[:5] in ("1.000", "2.000", "5.000"):
         return 0
