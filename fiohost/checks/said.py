@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fiohost.importing.map import FOUND
+
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
 
@@ -15,8 +17,8 @@ if TYPE_CHECKING:
 class Said:
     """Statements of one log that no fit uses, and which can be checked or which bound what the log can show.
 
-    ``direction`` (n) is the decoder's bit, 0 counting up; ``delay_ticks`` as stated, ``bits`` whether C3 and C4 are
-    there; None and False where not. ``ambiguous`` counts rows before which another turn may
+    ``direction`` (n) is the decoder's bit, 0 counting up; ``delay_ticks`` as somebody stated, ``bits`` whether C3 and C4
+    are there; None and False where not. ``ambiguous`` counts rows before which another turn may
     hide. ``returns`` says that the shaft was brought back to where it began.
     """
 
@@ -32,10 +34,12 @@ def said_by(log: Log) -> Said:
     """What a log says beside its record."""
     reference = log.columns.get("ref_deg")
     direction = log.columns.get("direction")
+    # A map that was found knows nothing of when a command acts.
+    stated = bool(log.metadata.get("command_delay_ticks", "").strip()) and log.metadata.get("map") != FOUND
     return Said(
         direction=direction if direction is not None and bool(np.all(np.isfinite(direction))) else None,
         closed_loop=reference is not None and bool(np.any(np.isfinite(reference))),
-        delay_ticks=log.command_delay_ticks if log.metadata.get("command_delay_ticks", "").strip() else None,
+        delay_ticks=log.command_delay_ticks if stated else None,
         bits="c3" in log.columns and "c4" in log.columns,
         ambiguous=int(log.ambiguous_rows.size),
         returns=log.metadata.get("returns_to_start", "").strip().lower() in ("true", "1", "yes"),

@@ -1,7 +1,8 @@
 """What a command means on this bench, asked of the data as discrete questions before any effect is looked for.
 
 When does a command act, what does zero duty do, what does the bridge do between pulses? A delay that is no whole number
-of ticks is a dead time, not a wrong statement. Nothing is changed; the user is told.
+of ticks is a dead time, not a wrong statement. The user is told; nothing is changed but where nobody said when commands
+act, and they did so before their rows: a program that writes a command beside the reading that came after it.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ class Semantics:
     questions: tuple[Question, ...]
     floor: float | None
     seconds_used: float
+    earlier_ticks: int = 0  # before their rows commands acted, and nobody said so
 
     def to_json(self) -> dict[str, object]:
         return {
@@ -86,9 +88,9 @@ def _whole(asked: Asked, fits: Mapping[int, Fit], best: int, delay: tuple[float,
     return verdict
 
 
-def _when(asked: Asked, said: Sequence[Said]) -> Question:
-    """When does a command act?"""
-    name = "command_delay"
+def _when(asked: Asked, said: Sequence[Said]) -> tuple[Question, int]:
+    """When does a command act; and by how many ticks before its row, where nobody said when it does?"""
+    name, earlier = "command_delay", 0
     ticks = {_ticks(r) for r in asked.records}
     stated = all(s.delay_ticks is not None for s in said)
     one = next(iter(ticks)) if len(ticks) == 1 else None
@@ -96,7 +98,8 @@ def _when(asked: Asked, said: Sequence[Said]) -> Question:
     words = words if stated else f"nothing; {words} are taken"
     model = asked.base.model
     if "transport_delay" in model.effects:
-        return Question(name, words, "not_asked", "the declared model has a delay of its own, which is fitted freely")
+        own = "the declared model has a delay of its own, which is fitted freely"
+        return Question(name, words, "not_asked", own), 0
 
     def label(offset: int) -> str:
         return str(one + offset) if one is not None else f"{offset:+d}"
@@ -116,6 +119,13 @@ def _when(asked: Asked, said: Sequence[Said]) -> Question:
             f"the logs say {words} until a command acts, {sure} {label(best)} (window error {errors[best]:.3g} against "
             f"{errors[0]:.3g}): set command_delay_ticks, unless there is a dead time of exactly that"
         )
+        if best < 0 and one == 0 and not stated:
+            earlier = -best
+            sentence = (
+                f"nobody said when a command acts, {sure} {earlier} row{'s' if earlier > 1 else ''} before its own "
+                f"(window error {errors[best]:.3g} against {errors[0]:.3g}), as where it is written beside the reading "
+                "that came after it: that is taken"
+            )
     elif estimate:
         sentence = (
             f"the data do not settle when a command acts: a free delay goes to {estimate[0]:.3g} ticks"
@@ -123,7 +133,7 @@ def _when(asked: Asked, said: Sequence[Said]) -> Question:
         )
     else:
         sentence = "commands act when the logs say"
-    return Question(name, words, verdict, sentence, table, label(best), estimate)
+    return Question(name, words, verdict, sentence, table, label(best), estimate), earlier
 
 
 def _zero(asked: Asked, said: Sequence[Said]) -> Question:
@@ -246,5 +256,10 @@ def ask(records: Sequence[Record], said: Sequence[Said], model: Model, *, from_f
     usual = starts[len(starts) // 2] if starts else model
     near = best_of([*starts, model] if from_file else starts or [model], lambda m: fit_windows(m, parts, FIRST))
     asked = Asked(records, parts, usual, near, floor_of(near, parts))
-    questions = (_when(asked, said), _zero(asked, said), _between(asked))
-    return Semantics(questions, asked.floor, sum(p.seconds for p in parts))
+    when, earlier = _when(asked, said)
+    if earlier:
+        moved = [shifted(p, -earlier) for p in parts]
+        again = fit_windows(near.model, moved, FIRST)
+        asked = Asked([shifted(r, -earlier) for r in records], moved, usual, again, floor_of(again, moved))
+    questions = (when, _zero(asked, said), _between(asked))
+    return Semantics(questions, asked.floor, sum(p.seconds for p in parts), earlier)

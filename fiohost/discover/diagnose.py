@@ -14,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fiohost.advice.outlook import Outlook
+from fiohost.checks.asked import shifted
 from fiohost.checks.preliminary import Preliminary, examine
 from fiohost.checks.said import Said
 from fiohost.discover.candidate import Candidate, Progress
@@ -214,6 +215,8 @@ def _diagnose(
         train = counts
         say("the speeds are differences of counts: searched as the angle that they add up to")
     preliminary = examine(train, holdout, model, said, from_file=from_file, say=say)
+    if preliminary.semantics and (earlier := preliminary.semantics.earlier_ticks):
+        train, logged, holdout = ([shifted(r, -earlier) for r in part] for part in (train, logged, holdout))
     rng = np.random.default_rng(seed)
     say(f"fitting {model.expression} to {len(train)} logs, {sum(r.seconds for r in train):.0f} s")
     hidden = {name: limit.why for limit in preliminary.data.limits if not limit.apart for name in limit.effects}

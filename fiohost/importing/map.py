@@ -13,6 +13,7 @@ from fiohost.settings import Table, find_config, read_toml
 
 SCHEMA = "fiohost.map/1"
 QUANTITIES = ("angle", "speed", "position")
+FOUND = "found"  # the name of a map that nobody wrote
 AVERAGES = ("instant", "previous_interval")
 REFUSE, LEAVE_OUT = "refuse", "leave_out"
 # Columns that a log may have beside its output; their units are in their names.

@@ -9,9 +9,10 @@ import numpy as np
 
 from fiohost.errors import ConfigError
 from fiohost.importing import roles
+from fiohost.importing.differences import around_the_row
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
-from fiohost.importing.map import TableMap
+from fiohost.importing.map import FOUND, TableMap
 from fiohost.importing.raw import FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head
 from fiohost.importing.units import MAP_UNITS, unit_of
@@ -72,7 +73,9 @@ def sensor_of(
     span = float(np.ptp(values) * abs(scale)) if values.size else 0.0
     coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
     counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, quantum, tick_s)
-    average = "previous_interval" if coarse or counts else "instant"
+    step = quantum / abs(scale)
+    around = bool(coarse or counts) and around_the_row(values, step)
+    average = "previous_interval" if (coarse or counts) and not around else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
     parts += (
         ["resolution 1 count" if quantum == 1 and unit == "counts" else f"resolution {quantum:.6g} {unit}"]
@@ -81,14 +84,16 @@ def sensor_of(
     )
     parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
     parts += [f"{turn:g} counts a turn"] if turn else []
-    if coarse:
+    if around:
+        found.assumed.append(f"{column.name!r} is taken from the row before to the next: the speed at the row")
+    elif coarse:
         found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
-    if counts:
-        step = f"a step of {column.name!r} is one of {counts} counts of a turn a row"
-        found.assumed.append(f"{step}: the mean since the row before (average in a map)")
+    elif counts:
+        said = f"a step of {column.name!r} is one of {counts} counts of a turn a row"
+        found.assumed.append(f"{said}: the mean since the row before (average in a map)")
     found.lines.append(", ".join(parts))
     return TableMap(
-        name="found", output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
+        name=FOUND, output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
         wrap=wrap, counts_per_rev=turn if turn and turn != wrap else 0.0,
     )  # fmt: skip
 

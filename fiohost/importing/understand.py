@@ -19,7 +19,7 @@ from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
 from fiohost.importing.direction import Driven, direction_of
 from fiohost.importing.found import Answers, Found, Unknown
-from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
+from fiohost.importing.map import FOUND, LEAVE_OUT, REFUSE, Beside, TableMap
 from fiohost.importing.raw import TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import SPEED_WORDS, Head, head_of
 from fiohost.importing.scale import Scale, scale_of
@@ -109,7 +109,7 @@ def understand(raw: RawTable, answers: Answers | None = None, others: Sequence[R
     needed += [direction.column] if direction else []
     missing = any(raw.column(name).missing for name in needed)
     table_map = replace(
-        sensor, name="found", time_column=clock.column, time_scale=clock.scale, time_wrap=clock.wrap,
+        sensor, name=FOUND, time_column=clock.column, time_scale=clock.scale, time_wrap=clock.wrap,
         sample_time_s=clock.sample_time_s, command_column=command.column.name, command_scale=scale.scale,
         full_scale_V=scale.full_scale_V, command_unit=scale.unit, signed=signed, beside=beside,
         sign_column=direction.column if direction else None, forward=direction.forward if direction else 1.0,
