@@ -16,6 +16,7 @@ from fiohost.checks.asked import Question, shifted
 from fiohost.checks.said import Said
 from fiohost.checks.semantics import ask
 from fiohost.circle.evidence import diagnose
+from fiohost.discover.diagnose import diagnose_records
 from fiohost.discover.result import to_json
 from fiohost.estimation.record import BRAKE, Record
 from fiohost.motor.model import Model
@@ -62,6 +63,23 @@ def test_a_wrong_delay_is_contradicted_with_the_right_one(delay_ticks: int) -> N
     assert found.estimate[0] == pytest.approx(delay_ticks, abs=0.03)
     assert "set command_delay_ticks" in found.sentence
     assert f" say {delay_ticks} " in found.sentence
+
+
+def test_where_nobody_said_it_commands_may_have_acted_before_their_rows() -> None:
+    """As where a program drives, waits, reads and then writes both. Nothing is missing then; what is said stands."""
+    records = [shifted(r, -1) for r in logs(truth_model(), delay_ticks=-1)]
+    said = ask(records, [Said(delay_ticks=0)] * len(records), DECLARED)
+    silent = ask(records, [Said()] * len(records), DECLARED)
+    assert said is not None
+    assert silent is not None
+    assert (said.earlier_ticks, silent.earlier_ticks) == (0, 1)
+    assert ("that is taken" in said.questions[0].sentence, "that is taken" in silent.questions[0].sentence) == (
+        False,
+        True,
+    )
+    assert [q.verdict for q in silent.questions[1:]] == ["as_said"] * 2
+    found = diagnose_records(records[:2], records[2:], DECLARED)
+    assert (found.verdict, found.steps) == ("no_missing_effect", ())
 
 
 @pytest.mark.parametrize(

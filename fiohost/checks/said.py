@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 class Said:
     """Statements of one log that no fit uses, and which can be checked or which bound what the log can show.
 
-    ``direction`` (n) is the decoder's bit, 0 counting up; ``delay_ticks`` as somebody stated, ``bits`` whether C3 and C4
-    are there; None and False where not. ``ambiguous`` counts rows before which another turn may
-    hide. ``returns`` says that the shaft was brought back to where it began.
+    ``direction`` (n) is the decoder's bit, 0 counting up; ``delay_ticks`` as stated by somebody, ``bits`` whether C3
+    and C4 are there; None and False where not. ``ambiguous`` counts rows before which another turn may hide.
+    ``returns`` says that the shaft was brought back to where it began.
     """
 
     direction: np.ndarray | None = None

@@ -1,44 +1,46 @@
-"""Over how many rows a speed was taken as the difference of two counts, by how its readings err."""
+"""Speeds that were taken from the row before to the next, as ``gradient`` of numpy and MATLAB gives them, and the mean
+speeds since the row before that they were made of.
+"""
 
 from __future__ import annotations
-
-from functools import lru_cache
 
 import numpy as np
 
 from fiohost.importing.raw import FloatArray
 
-BLOCK, CURVE = 16, 2  # rows looked at together, a curve of this degree taken off: what a motor does slowly is no error
-QUIET = 2.0  # rms, in steps, of a block that shows errors alone
-MOST = 3.0  # no block says more, as a logarithm of odds: a kink is no error of either kind
-SURE = 1.5  # logarithm of odds of a block, on average
+FEWEST = 50  # rows with motion, to tell by
+OFF_STEP = 0.2  # share of a step by which a reading may be off one
+ROUGHER = 1.5  # times as rough as the readings, and two of their steps, is what was never so made up: 4 to 60 times
 
 
-@lru_cache(maxsize=2)
-def _shapes(rows: int) -> tuple[FloatArray, FloatArray]:
-    """Directions (n, m) outside a curve through a block in which differences of white errors over so many rows are
-    apart, and their variances (m) for errors of one.
+def since_the_row_before(speeds: FloatArray, step: float) -> FloatArray | None:
+    """Mean speeds since the row before (n) of a counter of which ``speeds`` (n, in steps of half a count a row) are
+    those from the row before to the next; None where they are of no such steps.
+
+    They tell every other count from the one two rows before. How far both series are apart is where neighbours agree.
     """
-    free = np.linalg.svd(np.vander(np.linspace(-1.0, 1.0, BLOCK), CURVE + 1))[0][:, CURVE + 1 :]
-    difference = np.eye(BLOCK, BLOCK + rows, rows) - np.eye(BLOCK, BLOCK + rows)
-    values, vectors = np.linalg.eigh(free.T @ difference @ difference.T @ free)
-    return free @ vectors, values
+    times = np.rint(speeds / step)
+    if len(times) < FEWEST or float(np.quantile(np.abs(speeds / step - times), 0.99)) > OFF_STEP:
+        return None
+    counts = np.zeros(len(times))
+    for first in (0, 1):
+        counts[first + 2 :: 2] = np.cumsum(times[first + 1 : -1 : 2])
+    middles = 0.5 * (counts[:-2:2] + counts[2::2])
+    counts[1::2] += np.rint(np.median(middles - counts[1::2][: len(middles)]))
+    since = np.diff(counts)
+    first = float(np.clip(2.0 * since[0] - since[1], min(0.0, since[0]), max(0.0, since[0])))
+    return np.asarray(2.0 * step * np.concatenate(([first], since)))
 
 
 def around_the_row(speeds: FloatArray, step: float) -> bool:
-    """Whether speeds (n) err as differences from the row before to the next do, as numpy's and MATLAB's ``gradient``
-    gives them, rather than as those since the row before: what one lacks the next but one has.
+    """Whether speeds (n) of such steps are from the row before to the next: else what they would be made of goes to and
+    fro by ever more, as their errors add up.
     """
-    blocks = speeds[: len(speeds) // BLOCK * BLOCK].reshape(-1, BLOCK).T
-    blocks = blocks[:, np.ptp(blocks, axis=0) > 0.0]
-    odds = np.zeros(blocks.shape[1])
-    quiet = np.ones(blocks.shape[1], dtype=bool)
-    for rows, sign in ((1, -1.0), (2, 1.0)):
-        directions, variances = _shapes(rows)
-        powers = (directions.T @ blocks) ** 2
-        quiet &= powers.sum(axis=0) <= len(variances) * (QUIET * step) ** 2
-        with np.errstate(divide="ignore"):
-            likely = len(variances) * np.log((powers / variances[:, None]).sum(axis=0)) + np.log(variances).sum()
-        odds -= 0.5 * sign * likely
-    odds = odds[quiet & np.isfinite(odds)]
-    return bool(len(odds)) and float(np.clip(odds, -MOST, MOST).mean()) > SURE
+    since = since_the_row_before(speeds, step)
+    if since is None:
+        return False
+    moving = speeds[1:-1] != 0.0
+    if int(np.count_nonzero(moving)) < FEWEST:
+        return False
+    made_of, readings = (np.abs(np.diff(x, 2))[moving] for x in (since / (2.0 * step), speeds / step))
+    return float(np.median(made_of)) <= ROUGHER * (float(np.median(readings)) + 2.0)

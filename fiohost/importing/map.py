@@ -14,7 +14,8 @@ from fiohost.settings import Table, find_config, read_toml
 SCHEMA = "fiohost.map/1"
 QUANTITIES = ("angle", "speed", "position")
 FOUND = "found"  # the name of a map that nobody wrote
-AVERAGES = ("instant", "previous_interval")
+NEIGHBOURS = "neighbours"  # a speed from the row before to the next
+AVERAGES = ("instant", "previous_interval", NEIGHBOURS)
 REFUSE, LEAVE_OUT = "refuse", "leave_out"
 # Columns that a log may have beside its output; their units are in their names.
 BESIDE = ("current_A", "supply_V", "temperature_C", "torque_Nm", "ref_deg", "voltage_V")
@@ -115,8 +116,8 @@ class TableMap:
             fitting = [u for u, (q, _, _) in MAP_UNITS.items() if q == quantity]
             raise output.fail(f"unit {unit!r} is not a unit of {quantity}; known: {', '.join(fitting)}")
         average = output.text("average", "instant", choices=AVERAGES)
-        if average == "previous_interval" and quantity != "speed":
-            raise output.fail(f"average = 'previous_interval' is for a speed taken from counts, not for {quantity}")
+        if average != "instant" and quantity != "speed":
+            raise output.fail(f"average = {average!r} is for a speed taken from counts, not for {quantity}")
         wrap = output.number("wrap", 0.0, low=0.0, high=1e10)
         counts_per_rev = output.number("counts_per_rev", 0.0, low=0.0, high=1e9)
         if unit in ("counts", "counts/s") and wrap == 0 and counts_per_rev == 0:

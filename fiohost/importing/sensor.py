@@ -12,7 +12,7 @@ from fiohost.importing import roles
 from fiohost.importing.differences import around_the_row
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
-from fiohost.importing.map import FOUND, TableMap
+from fiohost.importing.map import FOUND, NEIGHBOURS, TableMap
 from fiohost.importing.raw import FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head
 from fiohost.importing.units import MAP_UNITS, unit_of
@@ -20,7 +20,7 @@ from fiohost.settings import nearest
 
 COARSE = 2000.0  # levels of a speed over its range: fewer come from counted pulses, a mean since the row before
 TURN = {"deg/s": 360.0, "rad/s": 2.0 * np.pi, "rpm": 60.0, "rev/s": 1.0}  # one turn a second
-WHOLE, MOST_COUNTS = 0.02, 1e5  # so near to a whole number of counts a turn, of so many at most
+WHOLE, MOST_COUNTS = 0.05, 1e5  # readings are so near to whole counts, of so many a turn at most
 TURN_PATTERNS = (
     r"(\d{2,7})\s*(?:counts?|cpr|ppr|ticks?|inc\w*|pulses?|impulse?|imp|striche|lines)?\.?\s*(?:/|per|pro|je)\s*(?:rev\w*|turn|umdr\w*|u\b)",
     r"\b(?:cpr|ppr|counts[ _]per[ _](?:rev\w*|turn)|ticks[ _]per[ _]rev\w*|inkremente)\D{0,6}(\d{2,7})",
@@ -72,10 +72,11 @@ def sensor_of(
     quantity = MAP_UNITS[unit][0]
     span = float(np.ptp(values) * abs(scale)) if values.size else 0.0
     coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
-    counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, quantum, tick_s)
+    counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, values * abs(scale), quantum, tick_s)
+    quantum = TURN[unit] / (counts * tick_s) if counts else quantum
     step = quantum / abs(scale)
-    around = bool(coarse or counts) and around_the_row(values, step)
-    average = "previous_interval" if (coarse or counts) and not around else "instant"
+    around = bool(coarse or counts) and all(around_the_row(c.values[np.isfinite(c.values)], step) for c in columns)
+    average = NEIGHBOURS if around else "previous_interval" if coarse or counts else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
     parts += (
         ["resolution 1 count" if quantum == 1 and unit == "counts" else f"resolution {quantum:.6g} {unit}"]
@@ -85,7 +86,7 @@ def sensor_of(
     parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
     parts += [f"{turn:g} counts a turn"] if turn else []
     if around:
-        found.assumed.append(f"{column.name!r} is taken from the row before to the next: the speed at the row")
+        found.assumed.append(f"{column.name!r} errs as speeds from the row before to the next do, and is taken apart")
     elif coarse:
         found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
     elif counts:
@@ -98,15 +99,17 @@ def sensor_of(
     )  # fmt: skip
 
 
-def _counts_of_a_step(unit: str, quantum: float, tick_s: float) -> int:
-    """The whole number of counts of a turn of which one a row makes a speed's step, 0 where there is none. Steps of 1,
-    2 and 5 times a power of ten are those of a display.
+def _counts_of_a_step(unit: str, speeds: FloatArray, quantum: float, tick_s: float) -> int:
+    """The whole number of counts of a turn of which one a row makes a step of speeds (n), 0 where there is none. Steps
+    of 1, 2 and 5 times a power of ten are those of a display.
     """
     if unit not in TURN or min(quantum, tick_s) <= 0.0 or f"{quantum:.3e}"[:5] in ("1.000", "2.000", "5.000"):
         return 0
-    counts = TURN[unit] / (quantum * tick_s)
-    whole = abs(counts - round(counts)) < WHOLE and counts < MOST_COUNTS
-    return round(counts) if whole else 0
+    counts = round(TURN[unit] / (quantum * tick_s))
+    if not 1 <= counts <= MOST_COUNTS:
+        return 0
+    steps = speeds * (counts * tick_s / TURN[unit])
+    return counts if float(np.quantile(np.abs(steps - np.rint(steps)), 0.99)) < WHOLE else 0
 
 
 def _output_unit(
