@@ -350,7 +350,7 @@ def test_a_column_of_remarks_that_one_line_fills_is_no_delimiter_at_the_end(rema
     assert len(Log.read(tmp_path / "log.csv")) == 500
 
 
-@pytest.mark.parametrize("counts_per_rev", [360, 4096])
+@pytest.mark.parametrize("counts_per_rev", [2400, 4096])
 def test_a_speed_from_the_row_before_to_the_next_is_taken_apart(counts_per_rev: int, tmp_path: Path) -> None:
     """As ``gradient`` gives it: taken for a mean since the row before it would be early by half a row."""
     times, rng = np.arange(0.0, 8.0, 0.005), np.random.default_rng(1)

@@ -28,8 +28,8 @@ def since_the_row_before(speeds: FloatArray, step: float) -> FloatArray | None:
     middles = 0.5 * (counts[:-2:2] + counts[2::2])
     counts[1::2] += np.rint(np.median(middles - counts[1::2][: len(middles)]))
     since = np.diff(counts)
-    first = float(np.clip(2.0 * since[0] - since[1], min(0.0, since[0]), max(0.0, since[0])))
-    return np.asarray(2.0 * step * np.concatenate(([first], since)))
+    begun = float(np.clip(2.0 * since[0] - since[1], min(0.0, since[0]), max(0.0, since[0])))
+    return np.asarray(2.0 * step * np.concatenate(([begun], since)))
 
 
 def around_the_row(speeds: FloatArray, step: float) -> bool:

@@ -75,7 +75,7 @@ def sensor_of(
     counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, values * abs(scale), quantum, tick_s)
     quantum = TURN[unit] / (counts * tick_s) if counts else quantum
     step = quantum / abs(scale)
-    around = bool(coarse or counts) and all(around_the_row(c.values[np.isfinite(c.values)], step) for c in columns)
+    around = bool(counts) and all(around_the_row(c.values[np.isfinite(c.values)], step) for c in columns)
     average = NEIGHBOURS if around else "previous_interval" if coarse or counts else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
     parts += (
@@ -85,7 +85,7 @@ def sensor_of(
     )
     parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
     parts += [f"{turn:g} counts a turn"] if turn else []
-    if around:
+    if around:  # of a coarse speed nobody can tell: rounded to few steps it may look so
         found.assumed.append(f"{column.name!r} errs as speeds from the row before to the next do, and is taken apart")
     elif coarse:
         found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
@@ -100,10 +100,10 @@ def sensor_of(
 
 
 def _counts_of_a_step(unit: str, speeds: FloatArray, quantum: float, tick_s: float) -> int:
-    """The whole number of counts of a turn of which one a row makes a step of speeds (n), 0 where there is none. Steps
-    of 1, 2 and 5 times a power of ten are those of a display.
+    """The whole number of counts of a turn of which one a row makes a step of speeds (n), 0 where there is none. A
+    power of ten is the step of a display.
     """
-    if unit not in TURN or min(quantum, tick_s) <= 0.0 or f"{quantum:.3e}"[:5] in ("1.000", "2.000", "5.000"):
+    if unit not in TURN or min(quantum, tick_s) <= 0.0 or f"{quantum:.3e}".startswith("1.000"):
         return 0
     counts = round(TURN[unit] / (quantum * tick_s))
     if not 1 <= counts <= MOST_COUNTS:
