@@ -350,23 +350,24 @@ def test_a_column_of_remarks_that_one_line_fills_is_no_delimiter_at_the_end(rema
     assert len(Log.read(tmp_path / "log.csv")) == 500
 
 
-@pytest.mark.parametrize("counts_per_rev", [2400, 4096])
-def test_a_speed_from_the_row_before_to_the_next_is_taken_apart(counts_per_rev: int, tmp_path: Path) -> None:
-    """As ``gradient`` gives it: taken for a mean since the row before it would be early by half a row."""
+@pytest.mark.parametrize(("rows", "ahead"), [(1, 0), (2, 1), (4, 0), (5, 0)])
+def test_a_speed_over_several_rows_is_taken_apart(rows: int, ahead: int, tmp_path: Path) -> None:
+    """As ``gradient`` gives it, or a moving average: taken for a mean since the row before it would come too early, or
+    too late.
+    """
     times, rng = np.arange(0.0, 8.0, 0.005), np.random.default_rng(1)
     duty = np.repeat(rng.uniform(-80.0, 80.0, 16), 100)
     speed_rpm = np.convolve(40.0 * duty, np.exp(-times / 0.08) * 0.005 / 0.08)[: len(times)]
-    counts = np.floor(np.cumsum(speed_rpm) / 60.0 * 0.005 * counts_per_rev)
-    count_rpm = 60.0 / counts_per_rev / 0.005
-    logs = []
-    for name, rpm in (("around", np.gradient(counts)), ("since", np.diff(counts, prepend=0.0))):
-        rows = "\n".join(f"{t:.3f},{u:.2f},{v:.2f}" for t, u, v in zip(times, duty, rpm * count_rpm, strict=True))
-        table = tmp_path / f"{name}.csv"
-        table.write_text(f"time_s,pwm_percent,speed_rpm\n{rows}\n")
-        average = "neighbours" if name == "around" else "previous_interval"
-        assert understand(read_raw(table)).certain.average == average
-        logs += read_any([table])
-    around, since = logs
-    assert around.output_average == since.output_average == "previous_interval"
-    assert around.output_quantum == pytest.approx(since.output_quantum, rel=1e-4)
-    assert np.allclose(around.output[1:], since.output[1:], atol=0.1)
+    since = np.diff(np.floor(np.cumsum(speed_rpm) / 60.0 * 0.005 * 4096), prepend=0.0) * 60.0 / 4096 / 0.005
+    over = np.convolve(since, np.ones(rows) / rows)[ahead : ahead + len(times)]
+    lines = "\n".join(f"{t:.3f},{u:.2f},{v:.2f}" for t, u, v in zip(times, duty, over, strict=True))
+    table = tmp_path / "run.csv"
+    table.write_text(f"time_s,pwm_percent,speed_rpm\n{lines}\n")
+    found = understand(read_raw(table)).certain
+    assert found.over_rows == (rows, ahead)
+    written = tmp_path / "map.toml"
+    written.write_text(found.to_toml())
+    assert TableMap.load(written).over_rows == (rows, ahead)
+    (log,) = read_any([table])
+    assert (log.output_average, log.output_quantum) == ("previous_interval", pytest.approx(6 * 60.0 / 4096 / 0.005))
+    assert np.allclose(log.output[rows:], 6.0 * since[rows:], atol=0.1)

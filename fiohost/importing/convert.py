@@ -15,7 +15,7 @@ from fiohost.errors import DataError, LogError
 from fiohost.files import Output
 from fiohost.importing.differences import since_the_row_before
 from fiohost.importing.direction import STILL, Direction, meaning, values_of
-from fiohost.importing.map import NEIGHBOURS, REFUSE, TableMap
+from fiohost.importing.map import REFUSE, TableMap
 from fiohost.importing.raw import MAX_NUMBER, NUMBER, TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.read import read_raw
 from fiohost.importing.times import spaced, times_s
@@ -97,16 +97,16 @@ def _convert(
     output = output * table_map.output_factor
     if not table_map.signed:
         output = signed_by(output, duty_pct)
-    if table_map.average == NEIGHBOURS:
+    rows_of, ahead = table_map.over_rows
+    if rows_of > 1:
         step, gaps = table_map.quantum * table_map.output_factor, np.rint(np.diff(time_s) / sample_time_s) != 1.0
-        found = None if step <= 0.0 or gaps.any() else since_the_row_before(output, step)
+        found = None if step <= 0.0 or gaps.any() else since_the_row_before(output, step, rows_of, ahead)
         if found is None:
-            notes.append(
-                "that speeds are from the row before to the next: rows are missing, or they have no whole steps"
-            )
+            notes.append(f"that speeds are taken over {rows_of} rows: some are missing, or speeds have no whole steps")
             table_map = replace(table_map, average="instant")
         else:
-            output, table_map = found, replace(table_map, average="previous_interval", quantum=2.0 * table_map.quantum)
+            output = found
+            table_map = replace(table_map, average="previous_interval", quantum=rows_of * table_map.quantum)
     written = {"duty_pct": duty_pct, table_map.log_column: output}
     written |= {one.name: columns[one.column] * one.scale for one in table_map.beside}
     written = {"time_s": np.round(time_s, TIME_DIGITS)} | {k: significant(v, DIGITS) for k, v in written.items()}

@@ -59,6 +59,7 @@ class TableMap:
     output_offset: float = 0.0
     signed: bool = True  # False: a speed without sign, which takes that of the command
     average: str = "instant"
+    average_rows: int = 1  # of a mean since the rows before; of a step of its readings one count is in all of them
     quantum: float = 0.0  # 0 if none or unknown
     wrap: float = 0.0  # size of a turn or counter, 0 where it does not wrap
     counts_per_rev: float = 0.0  # of counts; 0: as wrap
@@ -118,6 +119,9 @@ class TableMap:
         average = output.text("average", "instant", choices=AVERAGES)
         if average != "instant" and quantity != "speed":
             raise output.fail(f"average = {average!r} is for a speed taken from counts, not for {quantity}")
+        average_rows = output.integer("average_rows", 1, low=1, high=1000)
+        if average_rows > 1 and average != "previous_interval":
+            raise output.fail("average_rows is for average = 'previous_interval'")
         wrap = output.number("wrap", 0.0, low=0.0, high=1e10)
         counts_per_rev = output.number("counts_per_rev", 0.0, low=0.0, high=1e9)
         if unit in ("counts", "counts/s") and wrap == 0 and counts_per_rev == 0:
@@ -146,9 +150,14 @@ class TableMap:
             command_unit=command_unit, sign_column=sign_column, forward=forward, backward=backward,
             delay_ticks=delay_ticks, pwm_hz=pwm_hz,
             output_column=output_column, unit=unit, output_scale=output_scale, output_offset=output_offset,
-            signed=signed, average=average, quantum=quantum, wrap=wrap, counts_per_rev=counts_per_rev,
-            common_zero=common_zero, noise_rms=noise_rms,
+            signed=signed, average=average, average_rows=average_rows, quantum=quantum, wrap=wrap,
+            counts_per_rev=counts_per_rev, common_zero=common_zero, noise_rms=noise_rms,
         )  # fmt: skip
+
+    @property
+    def over_rows(self) -> tuple[int, int]:
+        """Over how many rows a speed is a difference, and how many of them come after its own."""
+        return (2, 1) if self.average == NEIGHBOURS else (self.average_rows, 0)
 
     @property
     def quantity(self) -> str:
@@ -213,6 +222,7 @@ class TableMap:
         lines += [f"scale = {self.output_scale!r}"] if self.output_scale != 1.0 else []
         lines += [f"offset = {self.output_offset!r}"] if self.output_offset else []
         lines += [f'average = "{self.average}"', f"quantum = {self.quantum!r}"]
+        lines += [f"average_rows = {self.average_rows}"] if self.average_rows > 1 else []
         lines += ["signed = false"] if not self.signed else []
         lines += [f"wrap = {self.wrap!r}"] if self.wrap else []
         lines += [f"counts_per_rev = {self.counts_per_rev!r}"] if self.counts_per_rev else []

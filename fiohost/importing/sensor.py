@@ -9,7 +9,7 @@ import numpy as np
 
 from fiohost.errors import ConfigError
 from fiohost.importing import roles
-from fiohost.importing.differences import around_the_row
+from fiohost.importing.differences import over_rows
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
 from fiohost.importing.map import FOUND, NEIGHBOURS, TableMap
@@ -20,7 +20,7 @@ from fiohost.settings import nearest
 
 COARSE = 2000.0  # levels of a speed over its range: fewer come from counted pulses, a mean since the row before
 TURN = {"deg/s": 360.0, "rad/s": 2.0 * np.pi, "rpm": 60.0, "rev/s": 1.0}  # one turn a second
-WHOLE, MOST_COUNTS = 0.05, 1e5  # readings are so near to whole counts, of so many a turn at most
+WHOLE, MOST_COUNTS = 0.1, 1e5  # readings are so near to whole counts, of so many a turn at most
 TURN_PATTERNS = (
     r"(\d{2,7})\s*(?:counts?|cpr|ppr|ticks?|inc\w*|pulses?|impulse?|imp|striche|lines)?\.?\s*(?:/|per|pro|je)\s*(?:rev\w*|turn|umdr\w*|u\b)",
     r"\b(?:cpr|ppr|counts[ _]per[ _](?:rev\w*|turn)|ticks[ _]per[ _]rev\w*|inkremente)\D{0,6}(\d{2,7})",
@@ -74,9 +74,8 @@ def sensor_of(
     coarse = quantity == "speed" and quantum > 0.0 and span / quantum < COARSE and quantum * 1000.0 > span
     counts = 0 if coarse or quantity != "speed" else _counts_of_a_step(unit, values * abs(scale), quantum, tick_s)
     quantum = TURN[unit] / (counts * tick_s) if counts else quantum
-    step = quantum / abs(scale)
-    around = bool(counts) and all(around_the_row(c.values[np.isfinite(c.values)], step) for c in columns)
-    average = NEIGHBOURS if around else "previous_interval" if coarse or counts else "instant"
+    rows, ahead = over_rows(columns, quantum / abs(scale)) if counts else (1, 0)
+    average = NEIGHBOURS if ahead else "previous_interval" if coarse or counts else "instant"
     parts = [f"output: {column.name!r}, {quantity} in {unit}" + (f" times {1 / scale:g}" if scale != 1.0 else "")]
     parts += (
         ["resolution 1 count" if quantum == 1 and unit == "counts" else f"resolution {quantum:.6g} {unit}"]
@@ -85,17 +84,19 @@ def sensor_of(
     )
     parts += [f"wraps at {wrap:g} {unit}"] if wrap else []
     parts += [f"{turn:g} counts a turn"] if turn else []
-    if around:  # of a coarse speed nobody can tell: rounded to few steps it may look so
-        found.assumed.append(f"{column.name!r} errs as speeds from the row before to the next do, and is taken apart")
-    elif coarse:
+    if coarse:
         found.assumed.append(f"so coarse a speed as {column.name!r} is counted: the mean since the row before")
+    elif rows > 1:
+        where = "from the row before to the next" if ahead else f"over the {rows} rows before"
+        found.assumed.append(f"{column.name!r} errs as means {where} do, and is taken apart (average in a map)")
     elif counts:
         said = f"a step of {column.name!r} is one of {counts} counts of a turn a row"
         found.assumed.append(f"{said}: the mean since the row before (average in a map)")
     found.lines.append(", ".join(parts))
     return TableMap(
-        name=FOUND, output_column=column.name, unit=unit, output_scale=scale, average=average, quantum=quantum,
-        wrap=wrap, counts_per_rev=turn if turn and turn != wrap else 0.0,
+        name=FOUND, output_column=column.name, unit=unit, output_scale=scale, average=average,
+        average_rows=1 if ahead else rows, quantum=quantum, wrap=wrap,
+        counts_per_rev=turn if turn and turn != wrap else 0.0,
     )  # fmt: skip
 
 
