@@ -42,6 +42,7 @@ MAX_EMPTY_TICKS = 20  # missing ticks per row, beyond a million: more is a broke
 DUTY_TOLERANCE_PCT = 0.01
 DEFAULT_COUNTS_PER_REV = 720
 IMPORTED = "import"  # the target of a log that was made of a foreign table
+FOUND = "found"  # the name of a map of it that nobody wrote
 
 _AVERAGES = ("instant", "previous_interval")
 
@@ -253,6 +254,11 @@ class Log:
     def command_delay_ticks(self) -> int:
         """Ticks from a row's encoder reading until its command acts; 0 where the metadata do not say."""
         return int(self._number("command_delay_ticks", 0.0, low=0.0, high=10_000.0, whole=True))
+
+    @property
+    def command_delay_stated(self) -> bool:
+        """Whether somebody said so: a map that was found knows nothing of it."""
+        return bool(self.metadata.get("command_delay_ticks", "").strip()) and self.metadata.get("map") != FOUND
 
     @property
     def counts_per_rev(self) -> int:

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fiohost.importing.map import FOUND
-
 if TYPE_CHECKING:
     from fiohost.bench.log import Log
 
@@ -34,12 +32,10 @@ def said_by(log: Log) -> Said:
     """What a log says beside its record."""
     reference = log.columns.get("ref_deg")
     direction = log.columns.get("direction")
-    # A map that was found knows nothing of when a command acts.
-    stated = bool(log.metadata.get("command_delay_ticks", "").strip()) and log.metadata.get("map") != FOUND
     return Said(
         direction=direction if direction is not None and bool(np.all(np.isfinite(direction))) else None,
         closed_loop=reference is not None and bool(np.any(np.isfinite(reference))),
-        delay_ticks=log.command_delay_ticks if stated else None,
+        delay_ticks=log.command_delay_ticks if log.command_delay_stated else None,
         bits="c3" in log.columns and "c4" in log.columns,
         ambiguous=int(log.ambiguous_rows.size),
         returns=log.metadata.get("returns_to_start", "").strip().lower() in ("true", "1", "yes"),

@@ -13,7 +13,6 @@ from fiohost.settings import Table, find_config, read_toml
 
 SCHEMA = "fiohost.map/1"
 QUANTITIES = ("angle", "speed", "position")
-FOUND = "found"  # the name of a map that nobody wrote
 NEIGHBOURS = "neighbours"  # a speed from the row before to the next
 AVERAGES = ("instant", "previous_interval", NEIGHBOURS)
 REFUSE, LEAVE_OUT = "refuse", "leave_out"

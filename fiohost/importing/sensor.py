@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from fiohost.bench.log import FOUND
 from fiohost.errors import ConfigError
 from fiohost.importing import roles
 from fiohost.importing.differences import over_rows
 from fiohost.importing.found import Answers, Found, Unknown
 from fiohost.importing.grid import COUNTER_TURNS, quantum_of, turn_of, wrap_of
-from fiohost.importing.map import FOUND, NEIGHBOURS, TableMap
+from fiohost.importing.map import NEIGHBOURS, TableMap
 from fiohost.importing.raw import FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import COUNT_WORDS, SPEED_WORDS, Head
 from fiohost.importing.units import MAP_UNITS, unit_of

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fiohost.bench.log import FOUND
 from fiohost.errors import ConfigError, DataError
 from fiohost.files import shortened
 from fiohost.importing import roles
@@ -19,7 +20,7 @@ from fiohost.importing import units as u
 from fiohost.importing.clock import Clock, clock_of
 from fiohost.importing.direction import Driven, direction_of
 from fiohost.importing.found import Answers, Found, Unknown
-from fiohost.importing.map import FOUND, LEAVE_OUT, REFUSE, Beside, TableMap
+from fiohost.importing.map import LEAVE_OUT, REFUSE, Beside, TableMap
 from fiohost.importing.raw import TEXT, FloatArray, RawColumn, RawTable
 from fiohost.importing.roles import SPEED_WORDS, Head, head_of
 from fiohost.importing.scale import Scale, scale_of
