@@ -206,6 +206,7 @@ def test_frames_of_pandas_go_in_and_come_out(found: Any) -> None:
         fiohost.read_log(renamed.rename(columns={"phi [deg]": "y"}), full_scale=12.0)
 
 
+@pytest.mark.long
 def test_the_page_on_python_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pandas", reason="pandas IS NOT INSTALLED: the page on Python is not run")
     monkeypatch.chdir(tmp_path)

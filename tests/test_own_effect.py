@@ -167,6 +167,7 @@ def test_a_script_registers_an_effect_before_the_kernel_is_there_and_not_after(t
     assert "comes too late: the kernel is compiled" in late
 
 
+@pytest.mark.long
 def test_each_check_finds_what_it_is_for(installed: Path) -> None:
     run = python(installed, "-m", "fiohost", "effects", "check", *WRONG_IN, "--json", "bad.json")
     assert run.returncode == 1
