@@ -17,7 +17,7 @@ from fiohost.motor.model import Model
 
 @dataclass(frozen=True)
 class Preliminary:
-    """What was seen of the logs before the diagnosis; it reports and warns, and changes nothing."""
+    """What was seen of the logs before the diagnosis; it reports and warns."""
 
     kinematics: tuple[Finding, ...]
     skipped: tuple[Skipped, ...]
