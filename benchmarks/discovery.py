@@ -37,7 +37,7 @@ from fiohost.workers import one_thread
 # Cases of the smoke run: fixed by their seed, drawn once and not picked. Effects whose fits take minutes are left to
 # the whole plan.
 SLOW = frozenset({"fast_decay"})
-SMOKE, SMOKE_SEED = {"clear": 1, "faint": 0, "none": 8, "pair": 3, "outside": 1}, 20240601
+SMOKE, SMOKE_SEED = {"clear": 1, "faint": 0, "none": 16, "pair": 3, "outside": 1}, 20240601
 
 
 def plan(counts: dict[str, int], rng: random.Random, names: Sequence[str] | None = None) -> list[Task]:
