@@ -216,6 +216,7 @@ def test_a_saved_model_can_be_declared_again_and_then_nothing_is_missing(
     assert again["before"]["holdout"] is None
 
 
+@pytest.mark.long
 def test_json_on_standard_output_is_json_and_nothing_else(tmp_path: Path, logs: list[Path], quick: None) -> None:
     result = fiohost("diagnose", *logs[1:], "--model", DECLARED, "--json", "-", "--report", tmp_path / "r")
     assert result.exit_code == 0, result.output
@@ -224,6 +225,7 @@ def test_json_on_standard_output_is_json_and_nothing_else(tmp_path: Path, logs: 
     assert "constant load" in result.stderr
 
 
+@pytest.mark.long
 def test_a_reader_who_leaves_early_costs_none_of_the_files(
     tmp_path: Path, logs: list[Path], quick: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

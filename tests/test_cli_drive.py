@@ -73,6 +73,7 @@ def test_every_command_of_the_table_is_there_and_gives_an_example(name: str) -> 
     assert f"fiohost {name}" in result.stdout.split("Example", 1)[1]
 
 
+@pytest.mark.long
 def test_verbose_and_debug_are_taken_before_and_after_the_command() -> None:
     for arguments in (["-v", "run", "sine_slow"], ["run", "sine_slow", "-v"]):
         done = subprocess.run([*FIOHOST, *arguments], capture_output=True, text=True, check=True)
