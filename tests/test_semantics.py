@@ -82,6 +82,15 @@ def test_where_nobody_said_it_commands_may_have_acted_before_their_rows() -> Non
     assert (found.verdict, found.steps) == ("no_missing_effect", ())
 
 
+@pytest.mark.parametrize(("delay_ticks", "earlier"), [(-1, 1), (0, 0)])
+def test_commands_that_acted_before_their_rows_are_seen_beside_a_missing_effect(delay_ticks: int, earlier: int) -> None:
+    truth = truth_model().with_effect("stribeck_friction", {"extra_pct": 1.0, "stribeck_speed_deg_s": 60.0})
+    records = [shifted(r, -1) for r in logs(truth, delay_ticks=delay_ticks, seed=3)]
+    found = ask(records, [Said()] * len(records), DECLARED)
+    assert found is not None
+    assert found.earlier_ticks == earlier
+
+
 @pytest.mark.parametrize(
     ("effect", "values"),
     [
