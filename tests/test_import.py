@@ -198,6 +198,14 @@ def test_missing_files_folders_and_unwritable_outputs_are_refused(tmp_path: Path
         ({"output": {"column": "y", "quantity": "angle", "unit": "counts"}}, "needs wrap"),
         ({"output": {"column": "y", "quantity": "speed", "unit": "deg/s", "quantumm": 1}}, "did you mean 'quantum'"),
         (
+            {"output": {"column": "y", "quantity": "speed", "unit": "rpm", "average": "neighbours"}},
+            "say its quantum",
+        ),
+        (
+            {"output": {"column": "y", "quantity": "speed", "unit": "rpm", "average_rows": 4, "quantum": 1.0}},
+            "average_rows is for",
+        ),
+        (
             {"output": {"column": "y", "quantity": "angle", "unit": "deg", "average": "previous_interval"}},
             "for a speed",
         ),

@@ -25,7 +25,7 @@ def since_the_row_before(speeds: FloatArray, step: float, rows: int, ahead: int 
     They tell every count from the one so many rows before. How far these series are apart is where neighbours agree.
     """
     times, n = np.rint(speeds / step), len(speeds)
-    if n < FEWEST or float(np.quantile(np.abs(speeds / step - times), 0.99)) > OFF_STEP:
+    if n < max(FEWEST, 3 * rows) or float(np.quantile(np.abs(speeds / step - times), 0.99)) > OFF_STEP:
         return None
     counts = np.zeros(n)
     for first in range(rows):

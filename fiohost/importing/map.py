@@ -133,6 +133,8 @@ class TableMap:
         if wrap and quantity != "angle":
             raise output.fail(f"wrap is for an angle, not for a {quantity}")
         quantum = output.number("quantum", 1.0 if unit == "counts" else 0.0, low=0.0)
+        if quantum == 0.0 and (average_rows > 1 or average == NEIGHBOURS):
+            raise output.fail("a speed over several rows is taken apart by its steps: say its quantum")
         common_zero = output.flag("common_zero", False)
         noise_rms = output.number("noise_rms", low=0.0) if "noise_rms" in output else None
         output_scale = _nonzero(output, "scale", output.number("scale", 1.0))
