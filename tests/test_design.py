@@ -48,6 +48,7 @@ def test_jitter_is_counted_where_the_response_should_rest() -> None:
 # ---- designs -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["pd", "pid"])
 def test_a_design_meets_what_was_asked_for_with_room_for_a_model_that_is_off(kind: str) -> None:
     found = fiohost.design(NXT, kind)

@@ -34,6 +34,7 @@ def table(
 
 
 @pytest.mark.parametrize("signed", [True, False])
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "forward", "back"),
     [

@@ -106,6 +106,7 @@ def over_bound(records: Sequence[Record], clean: Stage) -> float:
     return max(ratios)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ON_THE_BOARD)
 def test_twice_its_limit_an_effect_shows_and_a_fifth_of_it_does_not(name: str, tmp_path: Path, clean: Stage) -> None:
     limit = MEASURED.of(name)[0]

@@ -35,6 +35,7 @@ def made(case: Case, folder: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_table_is_imported_in_one_command_or_refused_in_one_sentence_that_says_what_is_unknown(
     case: Case, tmp_path: Path

@@ -318,6 +318,7 @@ def position_loop(kp: float, volts: float, amps: float) -> Solved:
     return solve(NXT, lambda t, w, a: min(max(kp * (ref - a), -volts), volts), 2.0, amps=amps)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kp", [1.5, 5.0])
 def test_position_control_is_right_to_the_printed_digits(kp: float, sitting: dict[str, LabResult]) -> None:
     row = next(r for r in rows(sitting["position"], "Proportional") if float(r[0]) == kp)

@@ -53,6 +53,7 @@ def whole(text: str) -> Page:
     return page
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "lab", "plots"),
     [

@@ -27,6 +27,7 @@ def square(constants: tuple[float, ...], seed: int, effects: Mapping[str, Mappin
         return bench.run(Experiment.load("square_170_190"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("constants", "seed", "library"),
     [

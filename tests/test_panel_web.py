@@ -95,6 +95,7 @@ DRAWN = """fiohostPanel.plots.every(p => { const c = p.ctx.canvas, d = p.ctx.get
   return inked > 500; })"""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width_px", [1200, 400])
 def test_at_both_widths_the_stop_is_in_sight_and_sources_loops_records_and_zoom_work(
     tmp_path: Path, width_px: int
@@ -214,6 +215,7 @@ def test_names_of_others_and_addresses_without_the_token_are_refused(bind: str) 
         assert run.process.wait(HANG_S) == 130
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bind", ["127.0.0.1/../", "no such name", "x" * 300, "\x1b[2J", "203.0.113.7"])
 def test_an_address_that_is_none_is_refused_in_one_sentence(bind: str) -> None:
     done = subprocess.run([*FIOHOST, "panel", "--web", "--bind", bind], capture_output=True, text=True, timeout=HANG_S)

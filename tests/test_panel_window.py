@@ -145,6 +145,7 @@ def test_a_picture_that_cannot_be_drawn_ends_the_window_instead_of_freezing_it(
     assert not plt.get_fignums()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["duty", "source", "loop", "charts"])
 def test_the_controls_beside_the_picture_ask_what_they_say(what: str) -> None:
     needed("Xvfb", "xdotool")
