@@ -111,6 +111,20 @@ def test_noise_of_the_angle_is_told_from_noise_of_the_speed_that_is_taken_from_i
     assert abs(float(white[1:] @ white[:-1])) < 0.05 * float(white @ white)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_windows_in_which_a_shaft_stuck_make_no_random_torque(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motor = drawn_motor(rng, covariance.ANGLE, 0.088)
+    residual, *others = drawn(rng, motor, 0.09, 0.0, 0.1)
+    for window in rng.choice(WINDOWS, 3, replace=False):
+        stuck = residual[(window + 1) * 200 - int(rng.integers(50, 180)) : (window + 1) * 200]
+        stuck -= 30.0 * (1.0 - np.exp(-np.arange(len(stuck)) * STEP_S / 0.1))
+    found = estimate(pieces(residual, *others, motor))
+    assert found.torque_pct.low < 0.001, found.torque_pct
+    assert found.torque_pct.high < 0.1, found.torque_pct
+    assert found.sensor.low < 0.09 < found.sensor.high
+
+
 def test_declared_sensor_noise_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(2)
     motor = drawn_motor(rng, covariance.ANGLE, 0.5)

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import chdtri
 
 from fiohost.noise.covariance import ANGLE
-from fiohost.noise.likelihood import LEAST_VARIANCE, Group, deviances, merged
+from fiohost.noise.likelihood import LEAST_VARIANCE, Group, deviances, merged, usual
 from fiohost.noise.runs import NO_SCATTER, RunToRun
 from fiohost.noise.settings import SETTINGS, NoiseSettings
 
@@ -128,7 +128,10 @@ def estimate(
     sensor: float | None = None,
     settings: NoiseSettings = SETTINGS,
 ) -> Noise:
-    """The noise of grouped pieces; ``sensor`` where its noise is declared, in the output's unit. None of no pieces."""
+    """The noise of grouped pieces but for those that leave far more than most; ``sensor`` where its noise is declared,
+    in the output's unit. None of no pieces.
+    """
+    groups = usual(groups, settings)
     found = _estimate(merged(groups), sensor, settings)
     if found.sensor.low > 0.0 and any(g.motor.kind != ANGLE for g in groups):
         turned = [replace(g, motor=replace(g.motor, of_angle=True)) for g in groups]

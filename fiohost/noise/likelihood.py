@@ -120,6 +120,21 @@ def merged(groups: Sequence[Group]) -> list[Group]:
     return [Group(np.column_stack(parts), motor, louder=louder) for (_, motor, louder), parts in alike.items()]
 
 
+def usual(groups: Sequence[Group], settings: NoiseSettings = SETTINGS) -> list[Group]:
+    """The groups without the pieces that leave far more than half of those of their length do (trimmed likelihood, Hadi
+    and Luceño 1997): there a shaft stuck, or went, where the model's did not, and no random torque says what it did.
+    """
+    alike: dict[tuple[int, Motor], list[Group]] = {}
+    for group in groups:
+        alike.setdefault((len(group.residuals), group.motor), []).append(group)
+    kept = []
+    for (_, motor), parts in alike.items():
+        left = [np.mean(g.residuals**2, axis=0) for g in parts]
+        most = settings.most_of_usual**2 * (float(np.median(np.concatenate(left))) + motor.count_rms**2)
+        kept += [replace(g, residuals=g.residuals[:, own <= most]) for g, own in zip(parts, left, strict=True)]
+    return [g for g in kept if g.residuals.size]
+
+
 @lru_cache(maxsize=1024)
 def _torque_part(n: int, tau_s: float, kind: int, step_s: float, time_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Of pieces of n samples: the basis (n, m) outside their starts in which the torque's covariance is diagonal, and

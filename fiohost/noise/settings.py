@@ -21,6 +21,9 @@ class NoiseSettings:
     slowest_counts: float = 0.5
     # Below this share of the top speed a torque of some percent may turn the shaft, and dry friction with it.
     slowest_share: float = 0.15
+    # A piece that leaves so many times what half of those of its length do, rms, is no noise: of a torque that is
+    # constant within pieces, one in a thousand does.
+    most_of_usual: float = 5.0
     # From a torque that is white at the sample time to one that is constant within a window.
     times_s: tuple[float, float] = (0.01, 3.0)
     time_looks: int = 7
