@@ -19,7 +19,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
         os.environ.setdefault(name, "1")
 
 # Each day one of so many shares of the long tests is run, all of them in as many days; workers are told which.
-SHARES, SHARE = 7, "FIOHOST_TESTS_SHARE"
+SHARES, SHARE = 14, "FIOHOST_TESTS_SHARE"
 
 LEFT = pytest.StashKey[int]()
 
