@@ -125,6 +125,18 @@ def test_a_few_windows_in_which_a_shaft_stuck_make_no_random_torque(seed: int) -
     assert found.sensor.low < 0.09 < found.sensor.high
 
 
+@pytest.mark.parametrize("times", [3.0, 7.0])
+@pytest.mark.parametrize("kind", [covariance.ANGLE, covariance.SPEED])
+def test_a_run_as_a_whole_louder_than_the_others_is_told_so(kind: int, times: float) -> None:
+    rng = np.random.default_rng(1)
+    motor = drawn_motor(rng, kind, 0.0)
+    loud = {"a": 1.0, "b": 1.0, "c": times}
+    groups = [g for run, k in loud.items() for g in pieces(*drawn(rng, motor, 0.5 * k, 0.0, 0.1), motor, run)]
+    found = estimate(groups)
+    for run, k in loud.items():
+        assert found.of(run).sensor.value == pytest.approx(0.5 * k, rel=0.1)
+
+
 def test_declared_sensor_noise_is_taken_as_it_is() -> None:
     rng = np.random.default_rng(2)
     motor = drawn_motor(rng, covariance.ANGLE, 0.5)

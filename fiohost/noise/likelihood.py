@@ -122,16 +122,20 @@ def merged(groups: Sequence[Group]) -> list[Group]:
 
 def usual(groups: Sequence[Group], settings: NoiseSettings = SETTINGS) -> list[Group]:
     """The groups without the pieces that leave far more than half of those of their length do (trimmed likelihood, Hadi
-    and Luceño 1997): there a shaft stuck, or went, where the model's did not, and no random torque says what it did.
+    and Luceño 1997): there a shaft stuck, or went, where the model's did not, and no random torque says what it did. A
+    run that leaves more as a whole, as one whose sensor is louder, is allowed as much more.
     """
-    alike: dict[tuple[int, Motor], list[Group]] = {}
-    for group in groups:
-        alike.setdefault((len(group.residuals), group.motor), []).append(group)
-    kept = []
-    for (_, motor), parts in alike.items():
-        left = [np.mean(g.residuals**2, axis=0) for g in parts]
-        most = settings.most_of_usual**2 * (float(np.median(np.concatenate(left))) + motor.count_rms**2)
-        kept += [replace(g, residuals=g.residuals[:, own <= most]) for g, own in zip(parts, left, strict=True)]
+    alike: dict[tuple[int, Motor], list[np.ndarray]] = {}
+    left = [np.mean(g.residuals**2, axis=0) for g in groups]
+    for group, own in zip(groups, left, strict=True):
+        alike.setdefault((len(group.residuals), group.motor), []).append(own)
+    half = {key: float(np.median(np.concatenate(own))) + key[1].count_rms ** 2 for key, own in alike.items()}
+    times = [own / max(half[len(g.residuals), g.motor], 1e-300) for g, own in zip(groups, left, strict=True)]
+    by_run: dict[str, list[np.ndarray]] = {}
+    for group, own in zip(groups, times, strict=True):
+        by_run.setdefault(group.run, []).append(own)
+    most = {run: settings.most_of_usual**2 * max(1.0, float(np.median(np.concatenate(r)))) for run, r in by_run.items()}
+    kept = [replace(g, residuals=g.residuals[:, own <= most[g.run]]) for g, own in zip(groups, times, strict=True)]
     return [g for g in kept if g.residuals.size]
 
 
